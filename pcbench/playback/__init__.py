@@ -1,1 +1,1 @@
-"""Observers on recorded data: what was measured, when it arrived, through the functions and the order of a simulated run."""
+"""Run observers on recorded data, with the functions and the order of events of a simulated run."""

@@ -1,19 +1,21 @@
-"""How likely a recording is for delays of its channels, each with the noise that makes it most likely: a profile likelihood.
+"""Profile likelihood of a recording over the delays of its channels: for each delay, the noise that maximises the likelihood.
 
-    l_p(j) = max over z of l(j, z),   j: ticks by which the samples of each channel are older,   z: logarithms of intensities
+    l_p(j) = max over z of l(j, z)
 
-l is that of `likelihood`, but every sample is used at the tick at which it was taken, in that order. The joint density of all
-samples does not depend on the order in which they arrived, so for `kf` it is the likelihood of the replay; an observer that
-linearises reaches a slightly different point. Nothing is then on its way, and nothing is used again, which is much faster.
-Gains are affine in the intensities v = exp z, so a design is asked for once per intensity; score and information of all
-samples follow by forward differentiation. All intensities are first multiplied by the NIS; then z moves by damped steps that
-begin as Fisher's scoring and learn the curvature (BFGS), with s the variance and nu the innovation of a number:
+with j the additional age of each channel's samples in ticks, and z the logarithms of the noise intensities. l is that of
+`likelihood`, with every sample used at the tick at which it was taken. The joint density of all samples does not depend on
+their order of arrival. So for `kf` this is the likelihood of the replay; a linearising observer has slightly different
+operating points. No sample is then in flight or used twice, which is much faster.
+
+Gains are affine in the intensities v = exp z, so one design per intensity is enough. Score and information of all samples
+follow by forward differentiation. All intensities are first multiplied by the NIS. Then z moves by damped BFGS steps that start
+as Fisher scoring, with s the variance and nu the innovation of a number:
 
     z <- z + (B + D)^-1 dl/dz,   B = sum dlog s dlog s' / 2 + dnu dnu' / s at first
 
-One program computes LANES delays side by side. All delays see the same samples: those that some delay takes out of the
-recording are left out.
-Source: Harvey, Forecasting, structural time series models and the Kalman filter, 1989, (3.4.69), of the information.
+One program computes LANES delays side by side. All delays use the same samples: those that some delay moves out of the
+recording are left out. Source: Harvey, Forecasting, structural time series models and the Kalman filter, 1989, (3.4.69), for
+the information.
 """
 
 from collections.abc import Callable, Iterator
@@ -36,26 +38,26 @@ from pcbench.runtime.progress import Progress
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import power_of_2
 
-LANES = 16  # delays side by side
-NUMBERS = 1 << 22  # ticks times lanes, at most
-STEPS = 30  # of z for one delay, at most
-LONGEST = 2.0  # of a step, in z
-SETTLED = 0.01  # what the next step may add to the log-likelihood,
-PART = 0.003  # or the part of how far it is below the best;
-HOPE, FAR = 10.0, 30.0  # a delay is given up if so many times as much leaves it so far below the best
-SHORTEST = 1e-3  # part of a step
+LANES = 16  # delays per call
+NUMBERS = 1 << 22  # largest product of ticks and lanes
+STEPS = 30  # largest number of steps of z for one delay
+LONGEST = 2.0  # largest step of z
+SETTLED = 0.01  # converged if the next step adds less to the log-likelihood
+PART = 0.003  # or less than this part of the distance to the best delay
+HOPE, FAR = 10.0, 30.0  # a delay is abandoned if HOPE times the expected gain leaves it FAR below the best
+SHORTEST = 1e-3  # smallest damping of a step
 Delays = tuple[int, ...]  # ticks by channel
 
 
 class Best(NamedTuple):
-    """A delay with its noise."""
+    """A delay with its most likely noise."""
 
     value: float  # l_p
     z: Vector
 
 
 class Profile:
-    """The profile likelihood of one recording; what was computed once is kept."""
+    """The profile likelihood of one recording, with a cache."""
 
     def __init__(
         self,
@@ -65,10 +67,10 @@ class Profile:
         gains_of: Callable[[PlaybackSetup], tuple[AffineGains, Vector]],
         progress: Progress,
     ) -> None:
-        """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` a prepared observer are its gains and z."""
+        """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns gains and z of a prepared observer."""
         length = max(power_of_2(a.last + 1), 2)
         if a.last >= likelihood.MOST:
-            likelihood.load_recording(a)  # refuses it
+            likelihood.load_recording(a)  # raises UserError for an unsuitable recording
         self.a, self.low, self.high, self.progress = a._replace(length=length), low, high, progress
         self.batches = list(a.log.measurements())
         self.lanes = max(min(LANES, NUMBERS // length), 1)
@@ -85,7 +87,7 @@ class Profile:
         self.known: dict[Delays, Best] = {}
 
     def _log(self, delays: Delays) -> Log:
-        """The samples that no delay takes out of the recording, each as it would arrive when it was taken."""
+        """Return the samples that no delay moves out of the recording, each arriving when it was taken."""
         dt, clock = self.a.clock.dt, self.a.clock
         first, last = max(self.high.max(), 0), self.a.last + min(self.low.min(), 0)
         later = np.array(delays) * dt
@@ -106,7 +108,7 @@ class Profile:
 
     @property
     def best(self) -> Delays:
-        """The most likely delays so far."""
+        """Return the most likely delays so far."""
         return max(self.known, key=lambda each: self.known[each].value)
 
     def ask(self, wanted: list[Delays]) -> list[float]:
@@ -122,7 +124,7 @@ class Profile:
         return [self.known[each].value for each in wanted]
 
     def _maximise(self, some: list[Delays], start: Vector) -> list[Best]:
-        """The most likely z of each of some delays, one lane each, by scoring steps that are halved until they go up."""
+        """Return the most likely z of each of some delays, one lane each, by steps that are halved until the likelihood rises."""
         windows = [self._window(each) for each in some]
         windows += windows[:1] * (self.lanes - len(windows))
         stacked = jax.tree.map(lambda *a: np.stack(a), *windows)
@@ -134,15 +136,15 @@ class Profile:
             return np.where(np.isfinite(value), value, -np.inf), score, information, nis
 
         nis = look(np.tile(start, (self.lanes, 1)))[3]
-        z = np.clip(
-            start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.BETWEEN
-        )  # as large as innovations say
+        z = np.clip(start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.BETWEEN)  # scaled by the NIS
         value, score, B, _ = look(z)  # B: curvature of -l
-        part = np.ones(self.lanes)  # of a step, that is taken
+        part = np.ones(self.lanes)  # damping of the step
         for _ in range(STEPS):
             sizes, ways = np.linalg.eigh(B)
             along = np.einsum("lij,li->lj", ways, score) / np.maximum(sizes, 1e-9 * sizes[:, -1:] + 1e-300)
-            step = np.einsum("lij,lj->li", ways, np.clip(along, -LONGEST, LONGEST))  # uphill, whatever is cut
+            step = np.einsum(
+                "lij,lj->li", ways, np.clip(along, -LONGEST, LONGEST)
+            )  # an ascent direction, also after clipping
             step = np.clip(z + step, *likelihood.BETWEEN) - z
             promised = (0.5 * score * step).sum(1)
             below = max([each.value for each in self.known.values()] + [value.max()]) - value
@@ -159,7 +161,7 @@ class Profile:
 
 
 def _bfgs(B: Floats, s: Floats, y: Floats, otherwise: Floats) -> Floats:
-    """Curvatures [L, P, P] that know of steps s [L, P] by which slopes changed by y; `otherwise` where they are not convex."""
+    """Return curvatures [L, P, P] updated by steps s [L, P] that changed slopes by y; `otherwise` if not convex."""
     sy, Bs = (s * y).sum(1), np.einsum("lij,lj->li", B, s)
     sBs = (s * Bs).sum(1)
     convex = (sy > 1e-3 * sBs) & (sBs > 0)
@@ -178,7 +180,7 @@ def _lanes(
     z: Array,
     windows: Window,
 ) -> tuple[Array, Array, Array, Array]:
-    """Log-likelihood [L], score [L, P], information [L, P, P] and NIS [L] at z [L, P]."""
+    """Return log-likelihood [L], score [L, P], information [L, P, P] and NIS [L] at z [L, P]."""
     ((label, _),) = layout.observers
 
     def lane(z: Array, w: Window) -> tuple[Array, Array, Array, Array]:
@@ -198,7 +200,7 @@ def _lanes(
         J, seen = jax.jacfwd(samples, has_aux=True)(z)
         nu = slice(step_block.JUDGED, step_block.JUDGED + len(p.params))
         square, degrees, log_det, each = seen[:, 0], seen[:, 1], seen[:, 2], seen[:, nu]
-        by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # of log s, by z
+        by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # derivative of log s by z
         moves = (J[:, nu] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
         return (
             -0.5 * (np.log(2 * np.pi) * degrees.sum() + log_det.sum() + square.sum()),

@@ -1,19 +1,19 @@
-"""The delay of each channel that makes a recording most likely, with a 95 % interval from its profile likelihood.
+"""Maximum-likelihood delay of each channel of a recording, with a 95 % interval from the profile likelihood.
 
-d_c is the time from the physical instant of a sample of channel c to its stamp, added to what the recording says: positive if
-samples are older than their stamps. The search moves along one channel after the other, and all together, on a grid that is
-made finer until it is one tick. Then the point between ticks:
+d_c is the time from the physical sampling instant of channel c to its timestamp, in addition to the recording: positive if
+samples are older than their timestamps. The search moves along each channel, and along all together, on a grid that is refined
+to one tick. A cubic spline through ticks then gives the point between ticks:
 
-    s(j) = exp(-2 l_p(j) / N)   by a cubic spline through ticks,   d_c = j_c h + mean of (stamp - its tick) - the same of inputs
+    s(j) = exp(-2 l_p(j) / N),   d_c = j_c h + mean of (timestamp - its tick) - the same of inputs
 
-s is the variance of an innovation that the fitted noise would have, nearly quadratic in j where l_p is not (N samples). Of one
-channel, the interval is where 2 (max l_p - l_p) < 3.84 (chi-square, one degree of freedom). Of several, l_p along one channel
-is that with the other delays at their best: to second order the slice through the best point, wider by sqrt((H^-1)_cc H_cc),
-H the curvature of s.
-Ends at the end of the range that was searched are marked. Rounding of stamps to ticks is corrected in the mean; what varies
-about it acts as noise.
-Not claimed: intervals if the model is wrong, or of a few dozen samples; that delays do not vary.
-Source: Venzon, Moolgavkar, Applied Statistics 37 (1988), 87-94.
+s is the innovation variance of the fitted noise for N samples. It is nearly quadratic in j, unlike l_p. For one channel, the
+interval is 2 (max l_p - l_p) < 3.84 (chi-square, one degree of freedom). For several, l_p along one channel has the other
+delays at their optimum. To second order it is the slice through the optimum, widened by sqrt((H^-1)_cc H_cc), with H the
+curvature of s.
+
+Interval ends at the limits of the search range are marked. Rounding of timestamps to ticks is corrected on average; its
+variation acts as noise. Not claimed: intervals for a wrong model or a few dozen samples; that delays are constant. Source:
+Venzon, Moolgavkar, Applied Statistics 37 (1988), 87-94.
 """
 
 from collections.abc import Iterable
@@ -27,14 +27,14 @@ from pcbench.playback.delay_profile import Delays, Profile
 from pcbench.playback.setup import Playback
 from pcbench.recordings.log import Floats, Ints
 
-INTERVALS = 10  # between samples of the slowest channel, that are searched by default
-SHARE = 0.25  # of a recording, that a delay may have at most
-FINER = 6  # how much finer a grid is than the one before
-SWEEPS = 6  # over all channels
+INTERVALS = 10  # default search range, in sampling intervals of the slowest channel
+SHARE = 0.25  # largest delay relative to the length of the recording
+FINER = 6  # refinement factor of the grid
+SWEEPS = 6  # passes over all channels
 LEVEL = 1.920729410347062  # half the 95 % quantile of chi-square with one degree of freedom
-SIDE = 6  # points of a profile on each side of its peak
-FLAT = 8  # shifts of all delays together, from one end of the range to the other
-APART = 10.0  # how much wider intervals are than slices, from where on only the differences of delays are known
+SIDE = 6  # points of a profile on each side of its maximum
+FLAT = 8  # common shifts of all delays, over the range
+APART = 10.0  # ratio of interval to slice width above which only differences of delays are known
 
 
 class ChannelDelay(NamedTuple):
@@ -44,14 +44,14 @@ class ChannelDelay(NamedTuple):
     estimate: float
     low: float  # 95 % interval
     high: float
-    at_end: str  # "low" or "high" if the estimate is at that end of the range that was searched, else ""
+    at_end: str  # "low" or "high" if the estimate is at that limit of the search range, else ""
     searched: tuple[float, float]
-    delays: list[float]  # of the profile,
-    drops: list[float]  # and how far it is below its peak
+    delays: list[float]  # of the profile
+    drops: list[float]  # log-likelihood below the maximum
 
 
 def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
-    """Return the least and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
+    """Return the smallest and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
     every, dt = a.survey.channels.values(), a.clock.dt
     most = SHARE * a.last * dt
     if longest is None:
@@ -67,20 +67,22 @@ def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, 
 
 
 class Slice(NamedTuple):
-    """l_p along one channel, the others at the best point; in ticks."""
+    """l_p along one channel with the others at the optimum; in ticks."""
 
     ticks: Ints
-    drops: Floats  # of l_p below its peak
+    drops: Floats  # of l_p below its maximum
     peak: float  # between ticks
-    low: float  # 95 % interval; NaN: the range that was searched ends before
+    low: float  # 95 % interval; NaN: beyond the search range
     high: float
 
 
 def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
-    """Return the delay of each channel, and sentences on what is not known of them."""
+    """Return the delay of each channel, and sentences on what the recording does not determine."""
     channels, dt = profile.a.survey.channels.values(), profile.a.clock.dt
     steps = [max(int(c.intervals.median / dt) // 2, 1) if c.intervals.many else 1 for c in channels]
-    ways = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (len(steps) > 1)  # the last: all together
+    ways = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (
+        len(steps) > 1
+    )  # the last direction moves all together
     best: Delays = (0,) * len(steps)
     for sweep in range(SWEEPS):
         for way, step in zip(ways, [*steps, max(steps)], strict=False):
@@ -99,7 +101,7 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
 
 
 def _if_flat(profile: Profile, best: Delays) -> Delays | None:
-    """The delays nearest to 0 with the same differences, if the recording tells nothing but these; else None."""
+    """Return the delays nearest to 0 with the same differences, if only differences are determined; else None."""
     first, last = int((profile.low - best).max()), int((profile.high - best).min())
     by, values = _ask(profile, best, np.ones(len(best), int), np.linspace(first, last, FLAT).astype(int))
     if len(by) < 2 or values.max() - values.min() > LEVEL:
@@ -114,7 +116,7 @@ def _inside(profile: Profile, delays: Iterable[float]) -> Delays:
 
 
 def _ask(profile: Profile, best: Delays, way: Ints, by: Ints) -> tuple[Ints, Floats]:
-    """Return those moves along a way that stay in the range, in order, 0 among them, and l_p there."""
+    """Return the moves along a direction that stay in the range, in order and including 0, with l_p there."""
     moves = np.unique(np.append(by, 0))
     there = np.array(best) + moves[:, None] * way
     inside = ((there >= profile.low) & (there <= profile.high)).all(1)
@@ -122,7 +124,7 @@ def _ask(profile: Profile, best: Delays, way: Ints, by: Ints) -> tuple[Ints, Flo
 
 
 def _search(profile: Profile, best: Delays, way: Ints, step: int, whole: bool) -> Delays:
-    """The best point along a way, on a grid of the range or near the best point, which is made finer to one tick."""
+    """Return the best point along a direction, on a grid of the range or near the best point, refined to one tick."""
     span = int((profile.high - profile.low).max())
     by = np.arange(-(span // step) * step, span + 1, step) if whole else step * np.arange(-2, 3)
     while True:
@@ -135,7 +137,7 @@ def _search(profile: Profile, best: Delays, way: Ints, step: int, whole: bool) -
 
 
 def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
-    """The profile along one channel as far as its interval goes, and between ticks."""
+    """Return the profile along one channel over its interval, and its maximum between ticks."""
     from scipy.interpolate import CubicSpline
 
     (c,) = np.flatnonzero(way)
@@ -161,10 +163,11 @@ def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
 
 
 def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, Floats]:
-    """The peak of all delays together [q] ticks, and how much wider the interval of each is than along its slice.
+    """Return the joint maximum of all delays [q] ticks, and the ratio of each interval to its slice.
 
-    s is fitted by a quadratic to the best point, to points next to it along each channel, and to the corners of each two; the
-    lower they are the less they count. A channel whose peak is at the end of its range is left out. Infinite: not known.
+    A quadratic is fitted to s at the best point, at its neighbours along each channel, and at the corners of each pair. Points
+    with lower likelihood have smaller weights. A channel whose maximum is at the end of its range is left out. Infinite:
+    unknown.
     """
     peak, wider = np.array([s.peak for s in slices]), np.ones(len(best))
     N, h = profile.samples, np.zeros(len(best), int)
@@ -201,7 +204,7 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
 def _results(
     profile: Profile, best: Delays, slices: list[Slice], peak: Floats, wider: Floats
 ) -> tuple[list[ChannelDelay], list[str]]:
-    """Delays in seconds with their intervals, and sentences."""
+    """Return delays in seconds with their intervals, and sentences."""
     dt, out, said, rounding = profile.a.clock.dt, [], [], _rounding(profile)
     for c, (name, known) in enumerate(profile.a.survey.channels.items()):
         s, first, last = slices[c], int(profile.low[c]), int(profile.high[c])
@@ -237,7 +240,7 @@ def _results(
 
 
 def _remarks(found: ChannelDelay, dt: float) -> list[str]:
-    """Sentences on one delay."""
+    """Return sentences on one delay."""
     name, out, (first, last) = found.channel, [], found.searched
     if found.low <= first and found.high >= last:
         out.append(
@@ -261,7 +264,7 @@ def _remarks(found: ChannelDelay, dt: float) -> list[str]:
 
 
 def _rounding(profile: Profile) -> Floats:
-    """By how much the stamps of each channel are later than their ticks in the mean, less the same of the inputs [q] s."""
+    """Return the mean of timestamp minus tick of each channel, less the same of the inputs, [q] s."""
     a, q = profile.a, len(profile.low)
 
     def beyond(times: Floats) -> Floats:

@@ -1,31 +1,31 @@
-"""What can be known of an observer without truth: whether samples are as far from what it expects as it says.
+"""Consistency tests of an observer without known truth, from its innovations; and intervals for noise intensities.
 
-    NIS            sum nu' S^-1 nu over how many numbers that is; chi-square if S is true (`statistics.consistency`)
-    whiteness      z_i = sum_j nu_j / sqrt(s_j) over the root of how many, of sample i:  r_h = sum z_i z_(i-h) / sum z_i^2,
-                   Q = T (T + 2) sum_h r_h^2 / (T - h), h = 1 .. H, chi-square with H degrees of freedom if they are white
-    log-likelihood of a number: -1/2 (log 2 pi + log s + nu^2 / s), in the mean over all, and over those held out
+    NIS              sum nu' S^-1 nu divided by the degrees of freedom; chi-square if S is correct (`statistics.consistency`)
+    whiteness        for sample i: z_i = sum_j nu_j / sqrt(s_j), divided by the root of the number of terms;
+                     r_h = sum z_i z_(i-h) / sum z_i^2,   Q = T (T + 2) sum_h r_h^2 / (T - h), h = 1 .. H:
+                     chi-square with H degrees of freedom if innovations are white
+    log-likelihood   -1/2 (log 2 pi + log s + nu^2 / s) per number, on average over all, and over the held-out part
 
-Samples count in the order in which they arrived, delayed and out-of-sequence ones too: given all that arrived before, they are
-independent if the model is true. z has the mean 0 by what the observer says, so none is taken off. Held out is the last part of
-a log: no sample of it has been used when it is expected, and none of it by who tuned on the part before.
-Source: Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65 (1978), (1.3), T samples.
+Samples are in the order of arrival, also delayed and out-of-sequence ones. Given all earlier arrivals they are independent if
+the model is correct. z has mean 0 by the observer's own model, so no mean is subtracted. The held-out part is the last part of
+a recording: its samples are predicted before they are used, and tuning on the earlier part does not use them. Source: Ljung,
+Box, On a measure of lack of fit in time series models, Biometrika 65 (1978), (1.3), T samples.
 
-How well a log tells the noise intensities that make it most likely: an interval for each, from the observed information.
+Intervals of the most likely noise intensities, from the observed information:
 
     z = log of an intensity,   H = - d/dz sum_i s_i(z),   var z = (H^-1)_jj,   interval: exp(z_j -+ 1.96 sqrt(var z_j))
-    where H says little of z_j:  D(z_j) = 2 (max l - max over the others of l),   interval: D < 3.84; if D(z_j) stays below that
-    towards an intensity of 0, one-sided: D < 2.71
+    if H has little information on z_j: D(z_j) = 2 (max l - max over the others of l), interval: D < 3.84; one-sided with
+    D < 2.71 if D(z_j) stays below 3.84 towards an intensity of 0
 
-s_i is the score of sample i, so H takes central differences of exact derivatives. Scores of an observer whose model is true
-do not depend on the past, so no correction for dependence is made; where innovations are not white (`ljung_box_p`), intervals
-are too short. On a logarithm the interval stays positive and is nearly symmetric. The others follow z_j by Newton steps with
-H; those that H says little of stay where they are. An intensity whose likelihood hardly changes upwards has no interval: NaN.
-Sources: Venzon, Moolgavkar, A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37
-(1988), 87-94; Efron, Hinkley, Assessing the accuracy of the maximum likelihood estimator: observed versus expected Fisher
-information, Biometrika 65 (1978), 457-482, of one parameter; that it holds for several and a filter's prediction errors is
-shown here by counting, below. Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples,
-hold R in 94.4 % and Q in 95.2 %; those found here hold both in 90 to 99 of 100 logs (tests/playback). Not claimed: that of
-fewer samples.
+s_i is the score of sample i, so H takes central differences of exact derivatives. If the model is correct, scores do not depend
+on the past, so there is no correction for dependence. If innovations are not white (`ljung_box_p`), intervals are too short. On
+a logarithmic scale the interval is positive and nearly symmetric. For the profile, the other z follow z_j by Newton steps with
+H; those with little information in H stay fixed. An intensity whose likelihood hardly changes upwards has no interval: NaN.
+Sources: Venzon, Moolgavkar, A method for computing profile-likelihood-based confidence intervals, Applied Statistics 37 (1988),
+87-94. Efron, Hinkley, Assessing the accuracy of the maximum likelihood estimator: observed versus expected Fisher information,
+Biometrika 65 (1978), 457-482, for one parameter. For several parameters and a filter's prediction errors the coverage was
+counted: with the textbook filter alone, 3,000 simulated logs of 279 samples cover R in 94.4 % and Q in 95.2 %. The intervals
+here cover both in 90 to 99 of 100 logs (tests/playback). Not claimed: coverage for fewer samples.
 """
 
 from collections.abc import Callable
@@ -41,22 +41,22 @@ from pcbench.statistics.distributions import chi_square_share
 
 Bools = NDArray[np.bool_]
 LAGS = 20
-HELD_OUT = 0.3  # of the ticks of a log
-FEW, BIASED = 10, 2.0  # samples, and the mean of z from where on a channel is said to be biased
+HELD_OUT = 0.3  # share of the ticks of a recording
+FEW, BIASED = 10, 2.0  # fewest samples, and mean of z above which a channel is reported as biased
 
 
 class Sums(NamedTuple):
-    """What is kept of one observer's innovations; two parts, before what is held out and in it."""
+    """Innovation sums of one observer; two parts, before the held-out part and in it."""
 
     totals: Floats = np.zeros((3, 2))  # of square, degrees, log_det
     samples: int = 0
     signed: float = 0.0  # sum of z
     products: Floats = np.zeros(LAGS + 1)  # sums of z_i z_(i-h), h = 0 .. LAGS
-    newest: Floats = np.zeros(0)  # the last LAGS of z
+    newest: Floats = np.zeros(0)  # the last LAGS values of z
 
 
 def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
-    """Return the sums with samples [K, 4 or more] more: square, degrees, log_det and signed of each; held_out [K]."""
+    """Return the sums after further samples [K, 4 or more]: square, degrees, log_det and signed of each; held_out [K]."""
     counts = numbers[:, 1] > 0
     numbers, part = numbers[counts], held_out[counts].astype(int)
     z = numbers[:, 3] / np.sqrt(numbers[:, 1])
@@ -72,13 +72,13 @@ def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
 
 
 class InnovationSums(NamedTuple):
-    """What one observer's innovations add up to."""
+    """Innovation sums of one observer."""
 
     total: Sums
     channels: list[Sums]  # [q]
 
     def add(self, numbers: Floats, held_out: Bools) -> "InnovationSums":
-        """Return it with samples [K, 4 + q] more, whose last numbers are nu_j / sqrt(s_j) by channel."""
+        """Return the sums after further samples [K, 4 + q], whose last numbers are nu_j / sqrt(s_j) by channel."""
         counts, channels = numbers[:, 1] > 0, []
         for sums, z in zip(self.channels, numbers[counts, 4:].T, strict=True):
             mine, part = z[~np.isnan(z)], held_out[counts][~np.isnan(z)]
@@ -89,9 +89,9 @@ class InnovationSums(NamedTuple):
 def by_channel(
     judged: dict[str, InnovationSums], channels: tuple[str, ...], arrived: NDArray[np.int64]
 ) -> list[dict[str, Any]]:
-    """Return a row for each channel and observer that says which channels it judges.
+    """Return one row per channel and observer that reports innovations by channel.
 
-    It says how many samples arrived [q], how many were judged, and what they say.
+    Each row has the number of samples that arrived [q], the number tested, and the results of the tests.
     """
     keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "mean", "ljung_box_p")
     rows: list[dict[str, Any]] = []
@@ -105,7 +105,7 @@ def by_channel(
 
 
 def describe_biased(rows: list[dict[str, Any]]) -> list[str]:
-    """Return a sentence for each channel whose samples are far on one side of what an observer expects, from `by_channel`."""
+    """Return a sentence for each channel with biased innovations, from `by_channel`."""
     out = {}
     for row in rows:
         if row["samples"] >= FEW and abs(row["mean"]) > BIASED and row["channel"] not in out:
@@ -119,7 +119,7 @@ def describe_biased(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
-    """Return a sentence for each observer that leaves samples out, from `by_channel`: how many, and of which channels."""
+    """Return a sentence for each observer that skips samples, from `by_channel`: how many, and of which channels."""
     out = []
     for observer in dict.fromkeys(row["observer"] for row in rows):
         mine = [row for row in rows if row["observer"] == observer]
@@ -135,7 +135,7 @@ def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def judgement(sums: Sums) -> dict[str, float | str]:
-    """Return what the sums say, NaN where they say nothing."""
+    """Return the test results of the sums; NaN if there are too few samples."""
     square, degrees, _ = sums.totals.sum(1).tolist()
     nis = square / degrees if degrees else np.nan
     within = band(degrees) if degrees else None
@@ -159,28 +159,30 @@ def judgement(sums: Sums) -> dict[str, float | str]:
 
 
 def _mean(totals: Floats) -> float:
-    """The mean log-likelihood of a number."""
+    """Return the mean log-likelihood per number."""
     square, degrees, log_det = totals.tolist()
     return -0.5 * (np.log(2 * np.pi) + (log_det + square) / degrees) if degrees else np.nan
 
 
-STEP = 1e-3  # of z; an error of H of 1e-6 of itself
+STEP = 1e-3  # of z; relative error of H: 1e-6
 NORMAL = 1.959963984540054  # 95 %
-TOLD = 1.0  # least information of one z alone: else its standard deviation is more than a factor of e
+TOLD = 1.0  # least information of one z alone; with less, its standard deviation is more than a factor of e
 TWO_SIDED, ONE_SIDED = 3.841458820694124, 2.705543454095404  # chi-square, one degree of freedom: 95 % and 90 %
-FAR = np.log(1e6)  # how far down in z an intensity is 0, and twice as far up it has no limit
-NEWTON, SETTLED = 5, 1e-2  # steps of the others at most; what one may add to the log-likelihood at the end
-EXACT = 1e-3  # of an end of a profile's interval, in z
-Likelihood = Callable[[Vector], tuple[float, Vector]]  # of the log, and its score
+FAR = np.log(
+    1e6
+)  # distance below the optimum in z that counts as intensity 0; twice as far upwards counts as unlimited
+NEWTON, SETTLED = 5, 1e-2  # largest number of Newton steps; largest gain of log-likelihood of the last one
+EXACT = 1e-3  # accuracy of a profile interval's end, in z
+Likelihood = Callable[[Vector], tuple[float, Vector]]  # of the recording, and its score
 
 
 def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
-    """Return the ends [P] of the 95 % intervals of z at its most likely value; below -inf: one-sided; NaN: not told."""
+    """Return the ends [P] of the 95 % intervals of z at its most likely value; lower end -inf: one-sided; NaN: undetermined."""
     rows = []
     for step in STEP * np.eye(len(at)):
         rows.append((likelihood(at - step)[1] - likelihood(at + step)[1]) / (2 * STEP))
     H = np.array(rows).reshape(len(at), len(at))
-    H = 0.5 * (H + H.T)  # the observed information
+    H = 0.5 * (H + H.T)  # observed information
     told, sd = np.diag(H) > TOLD, np.full(len(at), np.nan)
     some = H[np.ix_(told, told)]
     if told.any() and np.isfinite(some).all() and np.linalg.eigvalsh(some)[0] > 0:
@@ -192,7 +194,7 @@ def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
 
 
 def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> tuple[float, float]:
-    """Return the ends of one z by the profile likelihood."""
+    """Return the ends of the interval of one z by the profile likelihood."""
     from scipy.optimize import brentq
 
     most, others = likelihood(at)[0], np.flatnonzero((np.diag(H) > TOLD) & (np.arange(len(at)) != j))

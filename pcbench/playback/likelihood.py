@@ -1,12 +1,13 @@
-"""How likely an observer finds the samples of a log, one by one, and how that changes with its free parameters.
+"""Log-likelihood of each sample of a recording for an observer, and its derivative by the free parameters.
 
-    l_i = -1/2 (d_i log 2 pi + log det S_i + nu_i' S_i^-1 nu_i),   the score of sample i is its derivative by the parameters
+    l_i = -1/2 (d_i log 2 pi + log det S_i + nu_i' S_i^-1 nu_i),   score of sample i: its derivative by the parameters
 
-An observer whose model is true has independent innovations, so the sum of l_i is the log-likelihood of the log (by its
-prediction errors). Derivatives go forwards through the replay: there are few parameters, so each sample has its own score, and
-no tick is kept. From the parameters to the gains lead the observer's own designs: a few if gains are affine in the intensities
-exp z, as those of all Kalman filters are, else some around every point (`gains.optimizers.directions`).
-Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Information Theory 11 (1965).
+If the observer's model is correct, innovations are independent, and the sum of l_i is the log-likelihood of the recording
+(prediction error decomposition). Derivatives are computed forwards through the replay: there are few parameters, so each sample
+has its own score, and no tick is stored. Gains follow from the parameters by the observer's designs. A few designs are enough
+if gains are affine in the intensities exp z, as for all Kalman filters. Otherwise several designs are needed around every point
+(`gains.optimizers.directions`). Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans.
+Information Theory 11 (1965).
 """
 
 from collections.abc import Callable, Sequence
@@ -31,16 +32,16 @@ from pcbench.runtime import program_cache
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import power_of_2
 
-MOST = 1 << 22  # ticks of a log that is held in memory
-BETWEEN = (np.log(LEAST), -np.log(LEAST))  # logarithms of intensities, as `gains.parameters` has them
-AFFINE = 1e-6  # of a gain: what it may differ from one that is affine in the intensities
+MOST = 1 << 22  # largest number of ticks of a recording in memory
+BETWEEN = (np.log(LEAST), -np.log(LEAST))  # limits of log intensities, as in `gains.parameters`
+AFFINE = 1e-6  # relative deviation of gains that count as affine in the intensities
 
 
 class SampleLikelihood(NamedTuple):
-    """Of each sample in the order in which they came: N samples, P parameters."""
+    """Likelihood of each sample in the order of arrival: N samples, P parameters."""
 
     numbers: Floats  # [N, 4] square, degrees, log_det, signed
-    tick: Ints  # [N] at which it arrived
+    tick: Ints  # [N] tick of arrival
     score: Floats  # [N, P]
 
     @property
@@ -50,7 +51,7 @@ class SampleLikelihood(NamedTuple):
 
 
 def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
-    """Return the observer of a log, and the log in memory; raise UserError where it is too long for that, or does not fit."""
+    """Return the observer of a recording and the recording in memory; raise UserError if it is too long or does not fit."""
     if a.last >= MOST:
         raise UserError(
             f"{a.log.name}: got {a.last + 1} ticks, expected {MOST} at most to tune on; cut the log, or take a longer tick."
@@ -66,18 +67,18 @@ class AffineGains(NamedTuple):
 
     tree: jax.tree_util.PyTreeDef
     real: tuple[bool, ...]  # which leaves are real numbers
-    start: list[Leaf]  # each leaf, without noise
-    slope: list[Floats]  # [P, ...] of each real leaf
+    start: list[Leaf]  # each leaf without noise
+    slope: list[Floats]  # [P, ...] for each real leaf
 
 
 def moved(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], by: Leaf) -> list[Leaf]:
-    """Return leaves, those that are real numbers moved by by_j slope_j."""
+    """Return leaves, with by_j slope_j added to the real ones."""
     left = iter(slope)
     return [a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
 
 
 def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains | None:
-    """Return gains as they follow from intensities exp z, by designs around a point; None if they are not affine in them."""
+    """Return gains as a function of intensities exp z, from designs around a point; None if they are not affine."""
     leaves, tree = jax.tree.flatten(design(z))
     real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
 
@@ -99,7 +100,7 @@ def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains |
 def evaluator(
     p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]
 ) -> Callable[[Vector], SampleLikelihood]:
-    """Return what computes how likely each sample is at a point of the free parameters; errors as of `design`."""
+    """Return a function that computes the likelihood of each sample at given parameters; errors as of `design`."""
     inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
     bare = p.problem._replace(inputs=inputs, gains={})
     affine: list[AffineGains | None] = []
@@ -115,7 +116,7 @@ def evaluator(
             tree, real, start, slope = affine[0]
             v = np.exp(np.clip(point, *BETWEEN))
             leaves = moved(real, start, slope, v)
-            v = np.where(v == np.exp(point), v, 0.0)  # what is clipped does not move
+            v = np.where(v == np.exp(point), v, 0.0)  # clipped intensities have derivative 0
             along = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
         numbers, slopes = map(np.asarray, jit_likelihood()(p.layout, tree, real, leaves, along, bare, part.window))
         judged = numbers[..., 1] > 0
@@ -133,7 +134,7 @@ def _run(
     p: GridPointParams,
     w: Window,
 ) -> tuple[Array, Array]:
-    """What is known of each slot [K, S, 4], and its score [K, S, P]; `along` is [P, ...] of each real leaf."""
+    """Return the innovation numbers of each slot [K, S, 4] and its score [K, S, P]; `along` is [P, ...] for each real leaf."""
     ((label, _),) = layout.observers
     ticks, ends = jnp.arange(w.event.shape[0]), jnp.zeros(2, int)
     truth = jnp.zeros((len(ticks), 0))

@@ -1,4 +1,4 @@
-"""Replay a log: observers run on what was measured, when it arrived, and what can be known of them without or with truth."""
+"""Replay a recording: run observers on its measurements at their arrival times, and evaluate them with or without truth."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,28 +28,28 @@ from pcbench.toml_text import TomlTable
 
 
 class ReplayResult(NamedTuple):
-    """What came of a log."""
+    """Results of a replay."""
 
-    innovations: pd.DataFrame  # a row each observer that says what it expects of samples
+    innovations: pd.DataFrame  # one row per observer that reports innovations
     distances: (
         pd.DataFrame
     )  # rms of estimate minus smoothed after the transient, by observer and signal; empty: no smoother
-    metrics: pd.DataFrame  # by observer and signal, as a study has them; empty: no truth
-    estimates: pd.DataFrame | None  # every tick; None where they are in a folder
-    summary: dict[str, Any]  # the log, the tick, how far times were rounded, and sentences
-    channels: pd.DataFrame  # what innovations say of each channel, with how many samples were judged
+    metrics: pd.DataFrame  # by observer and signal, as in a study; empty: no truth
+    estimates: pd.DataFrame | None  # every tick; None if they are in a folder
+    summary: dict[str, Any]  # recording, tick, rounding of times, and sentences
+    channels: pd.DataFrame  # innovation tests of each channel, with the number of tested samples
 
 
 class Passage(NamedTuple):
-    """What observers have left that went through a log."""
+    """The raw results of a pass through a recording."""
 
-    judged: dict[str, InnovationSums]  # by observer that says what it expects
+    judged: dict[str, InnovationSums]  # by observer that reports innovations
     arrived: Ints  # [q] samples
-    scores: dict[str, Score]  # against truth, by observer; empty: none is known
+    scores: dict[str, Score]  # against truth, by observer; empty: unknown
     smoothed: Floats | None  # [ticks, n]
     delays: dict[
         str, Floats
-    ]  # [2] estimated delay and its standard deviation [s] at the end, by observer that has them
+    ]  # [2] estimated delay and its standard deviation [s] at the end, by observer that estimates it
 
 
 def replay(
@@ -108,7 +108,7 @@ def replay(
 
 
 def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], out: Path | None) -> ReplayResult:
-    """What innovations say at each value of some axes, without estimates; also as a file in a folder."""
+    """Return the innovation tests at each value of some axes, without estimates; also as a file in a folder."""
 
     def joined(frames: list[pd.DataFrame]) -> pd.DataFrame:
         for (values, _), frame in zip(each, frames, strict=True):
@@ -131,7 +131,7 @@ def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], ou
 
 
 def _capable(a: Playback, room: Room, names: list[str]) -> Playback:
-    """What is to run without the observers of "all" that the log has no place for; each is a sentence."""
+    """Return the playback without observers of "all" that the recording does not support, each with a sentence."""
     excluded = {}
     for label, given in a.cell.options.items():
         try:
@@ -147,7 +147,7 @@ def _capable(a: Playback, room: Room, names: list[str]) -> Playback:
 
 
 def stamps_that_go_back(survey: Survey) -> list[str]:
-    """Return a sentence for each channel whose stamps go back, as they do where a sample overtakes another."""
+    """Return a sentence for each channel with out-of-sequence timestamps."""
     return [
         f"row {c.out_of_order.first_mark} of channel {name} is out-of-sequence, the first of {c.out_of_order.many}: "
         "each is used at the time it was taken."
@@ -157,7 +157,7 @@ def stamps_that_go_back(survey: Survey) -> list[str]:
 
 
 def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
-    """Run all parts of a log, and write estimates."""
+    """Run all parts of a recording, and write estimates."""
     signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
     scored, given = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
     runners = stream.init_runners(p, bool(scored), seed)
@@ -168,7 +168,7 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (q, p.m))
     ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
-    largest, largest_y = np.zeros(len(scored)), np.zeros(q)  # of the truth, by signal, and of what was measured
+    largest, largest_y = np.zeros(len(scored)), np.zeros(q)  # largest truth by signal, and largest measurement
     progress.begin("ticks", a.last + 1)
     ends = np.array([a.cell.times.tail, a.last])
     for part, reads in stream.through(runners, stream.parts(a, p, scored), p.back, ends):
@@ -211,7 +211,7 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
 
 
 def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
-    """The delay that observers estimate at the end, with its standard deviation [s]."""
+    """Return the estimated delay at the end with its standard deviation [s], by observer."""
     out = {}
     for o in runners:
         ((label, observer),) = o.layout.observers
@@ -226,7 +226,7 @@ def held_out_from(a: Playback) -> int:
 
 
 def _outputs(a: Playback) -> list[dict[str, str]]:
-    """Return of each channel its name, its unit, and the state that it shows as it is; empty: none does."""
+    """Return the name and unit of each channel, and the state that it measures directly; empty: none."""
     scenario, rows = a.cell.scenario, []
     states = {output: state for state, output in outputs_of_states(scenario).items()}
     for i, (name, unit) in enumerate(zip(a.log.channels, a.log.units or output_units(scenario), strict=True)):
@@ -237,7 +237,7 @@ def _outputs(a: Playback) -> list[dict[str, str]]:
 def _results(
     a: Playback, p: PlaybackSetup, passage: Passage, draft: replay_metrics.Draft, in_memory: bool
 ) -> ReplayResult:
-    """Make tables of what a run left."""
+    """Return the tables of a replay."""
     signals, dt = signals_of(a.cell.scenario), a.clock.dt
     innovations = pd.DataFrame(
         [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.judged.items()]

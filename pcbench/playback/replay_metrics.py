@@ -1,6 +1,6 @@
-"""Errors of a replay as tables: against truth by the metrics of a study, and against the smoother that sees the whole log.
+"""Tables of a replay: metrics against truth as in a study, distances to the smoother, and the files in its folder.
 
-What a replay leaves in a folder: estimates tick by tick, written as they come, and what is known of each observer.
+Estimates are written tick by tick as they are computed.
 """
 
 import os
@@ -103,44 +103,44 @@ def with_units(fields: list[tuple[str, str, str, Any]], clock: Clock) -> pa.Tabl
 
 
 class Draft:
-    """A replay's files before they have their names."""
+    """Files of a replay under temporary names."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.estimates = self.part(ESTIMATES)  # can be read once it is closed
+        self.estimates = self.part(ESTIMATES)  # readable once it is closed
         self.summary = self.part(SUMMARY)
         self._writers: dict[str, pq.ParquetWriter] = {}
         self._files = ExitStack()
 
     def part(self, name: str) -> Path:
-        """Return where a file is before it has its name."""
+        """Return the temporary path of a file."""
         return self.folder / f".{name}.part"
 
     def write(self, table: pa.Table, name: str = ESTIMATES) -> None:
-        """Add rows to one of TABLES."""
+        """Append rows to one of TABLES."""
         if name not in self._writers:
-            self.part(name).unlink(missing_ok=True)  # of a process that was killed
+            self.part(name).unlink(missing_ok=True)  # from a process that was killed
             file = self._files.enter_context(os.fdopen(storage.create(self.part(name)), "wb"))
             writer = pq.ParquetWriter(file, table.schema, compression="snappy", use_dictionary=["channel"])
             self._writers[name] = self._files.enter_context(writer)
         self._writers[name].write_table(table, row_group_size=max(len(table), 1))
 
     def close(self) -> None:
-        """End the tables."""
+        """Close the tables."""
         self._files.close()
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write all other results next to the tables, NaN as null, and give the files their names."""
+        """Write all other results next to the tables, NaN as null, and rename the files to their final names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
         written = [name for name in TABLES if name in self._writers]
         storage.rename_all([(self.part(name), self.folder / name) for name in (*written, SUMMARY)])
-        for name in set(TABLES) - set(written):  # of an earlier replay
+        for name in set(TABLES) - set(written):  # from an earlier replay
             (self.folder / name).unlink(missing_ok=True)
 
 
 @contextmanager
 def draft(folder: Path) -> Iterator[Draft]:
-    """Make a replay's files beside their names: `Draft.finish` gives them these, what was stopped before leaves nothing."""
+    """Yield a replay's files under temporary names. `Draft.finish` renames them; an interrupted replay leaves none."""
     out, new = Draft(folder), not folder.exists()
 
     def clear() -> None:
@@ -148,7 +148,7 @@ def draft(folder: Path) -> Iterator[Draft]:
             with suppress(OSError):
                 out.part(name).unlink(missing_ok=True)
         if new:
-            with suppress(OSError):  # it holds the files that were made
+            with suppress(OSError):  # not empty: it contains finished files
                 folder.rmdir()
 
     try:
@@ -165,14 +165,14 @@ def draft(folder: Path) -> Iterator[Draft]:
 
 
 def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
-    """Write what is known of a replay without estimates into a folder; raise UserError where it cannot be written."""
+    """Write the summary of a replay without estimates to a folder; raise UserError if that fails."""
     with draft(folder) as made:
         storage.put_json(storage.target(folder), made.summary.name, plain(summary))
         storage.rename_all([(made.summary, folder / SUMMARY)])
 
 
 def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the estimates of a file part by part, with the tick at which each begins."""
+    """Yield the estimates of a file in parts, with the first tick of each."""
     first = 0
     with pq.ParquetFile(file) as there:
         for i in range(there.num_row_groups):
@@ -182,7 +182,7 @@ def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
 
 
 def plain(thing: Any, nulls: bool = True) -> Any:
-    """Return a summary as JSON has it, NaN as null; without `nulls` it is left out of tables."""
+    """Return a summary as JSON values, NaN as null; without `nulls` it is left out of tables."""
     if isinstance(thing, dict):
         out = {str(key): plain(each, nulls) for key, each in thing.items()}
         return {key: each for key, each in out.items() if nulls or each is not None}
@@ -193,14 +193,14 @@ def plain(thing: Any, nulls: bool = True) -> Any:
 
 
 def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: int) -> pd.DataFrame:
-    """Return the metrics of a study, one row each of observer, signal and metric, over the ticks at which truth is known."""
+    """Return the metrics of a study, one row per observer, signal and metric, over the ticks with known truth."""
     rows = []
     for label, score in scores.items():
         s = jax.tree.map(np.asarray, score)
         early, known = s.counts[0][:, None], s.counts.sum(0)[:, None]
         streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
         watch = jax.tree.map(lambda a: a[..., None], s.watch)
-        with np.errstate(invalid="ignore", divide="ignore"):  # of a tail without truth nothing is known
+        with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 in a tail without truth
             values = metrics.read(streams, watch, s.final[:, None], known, early, dt)
         values["unsettled"] = np.asarray(s.watch.unsettled > tail)[:, None]
         for metric, each in values.items():
@@ -216,7 +216,7 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
 def rounding_warnings(
     scores: dict[str, Score], largest: Floats, signals: Signals, limits: list[tuple[Floats, Floats]]
 ) -> list[str]:
-    """Return a sentence for each observer of whose errors a float64 has no digits; `largest` [n + s] truth, by signal."""
+    """Return a sentence for each observer whose errors are not resolved by float64; `largest` [n + s] truth, by signal."""
     out = []
     for label, score in scores.items():
         mae = np.asarray(score.tail.absolute) / np.maximum(score.counts[1], 1.0)

@@ -1,4 +1,4 @@
-"""A simulated run as a log, in the tables that `recordings.tables` reads."""
+"""A simulated run as a recording, in the tables that `recordings.tables` reads."""
 
 from typing import TYPE_CHECKING
 
@@ -19,9 +19,9 @@ def tables_of(
 ) -> dict[str, pa.Table]:
     """Return the tables of a run by name.
 
-    The times of `samples` are their stamps. What observers assume wrongly of them (`assumed_delay_error`) is no part of a log:
-    `replay` takes it from the plant file. One that was lost or not sent, or is on its way when the run ends, never arrives.
-    Raises UserError where measuring began before tick 0: such samples have measured nothing that a log holds.
+    The times of `samples` are their timestamps. The error of the assumed delay (`assumed_delay_error`) is not part of a
+    recording: `replay` takes it from the plant file. A sample that is lost, not sent or in transit at the end never arrives.
+    Raises UserError if sampling began before tick 0, as a recording cannot contain these samples.
     """
     if len(schedule.early):
         raise UserError(
@@ -37,7 +37,7 @@ def tables_of(
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
         sampled=np.array([s.stamp(0) * dt for s in every]),
-        arrived=np.where(np.isnan(values), np.nan, arrived),  # a sensor may have held it back
+        arrived=np.where(np.isnan(values), np.nan, arrived),  # a sensor may not have sent it
         value=values,
         row=np.arange(1, len(every) + 1),
     )

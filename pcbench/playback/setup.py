@@ -1,7 +1,8 @@
-"""A log with the observers that run on it, made ready: in ticks, with their gains, and room for what the log brings.
+"""Set up a replay: the recording in ticks, the observers with their gains, and room for the recording's delays.
 
-Designers are told of the study's own period, delay, noise and horizon, which is what is assumed; only room is the log's: how
-many samples overtake, are on their way, how old they get. So on a log of a simulated run gains are those of that run.
+Designs use the study's own period, delay, noise and duration, which are the assumptions. Only the room follows from the
+recording: the number of out-of-sequence samples, of packets in flight, and their ages. So on the recording of a simulated run,
+gains are those of that run.
 """
 
 from math import isfinite
@@ -29,18 +30,20 @@ from pcbench.study.load import Described
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
 LENGTH = 1 << 16  # ticks of a part
-HORIZONS = 10  # of the plant file that a log may cover per row; a longer one has times of two clocks or units
+HORIZONS = (
+    10  # largest number of durations of the plant file per row of a recording; a longer one mixes clocks or units
+)
 
 
 class Playback(NamedTuple):
-    """A log with the cell that is to run on it."""
+    """A recording with the grid point that runs on it."""
 
-    name: str  # as the user gave it
+    name: str  # as given by the user
     log: Log
     survey: Survey
     cell: Cell
     clock: Clock
-    last: int  # tick
+    last: int  # last tick
     remarks: list[str]  # sentences
     length: int  # ticks of a part
 
@@ -53,9 +56,9 @@ class PlaybackSetup(NamedTuple):
     setting: DesignContext
     certificates: dict[str, Certificate]
     slots: int  # packets that may arrive at one tick
-    back: int  # ticks of inputs that they may ask for
+    back: int  # ticks of past inputs that observers may read
     m: int
-    variances: Floats | None  # [q] that the design takes for noise, of a log that states that of each sample; else None
+    variances: Floats | None  # [q] assumed noise variance, if the recording states that of each sample; else None
 
 
 def open_playback(
@@ -69,10 +72,10 @@ def open_playback(
     clock_offsets: Floats | None = None,
     cell: Cell | None = None,
 ) -> Playback:
-    """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit.
+    """Return a recording with the grid point that runs on it, in ticks; raise UserError if they do not fit.
 
-    `clock_offsets` [q] s are added to the stamps of the channels, less the `assumed_delay_error` of the plant file. With a
-    `cell` the log gets this one of the plant file, which may have several.
+    `clock_offsets` [q] s are added to the timestamps of the channels, less the `assumed_delay_error` of the plant file. `cell`
+    selects one of several grid points of the plant file.
     """
     excluded = None
     if cell is None:
@@ -128,7 +131,7 @@ def open_playback(
 
 
 def room_of(a: Playback) -> Room:
-    """Return what a log needs room for; it is read once."""
+    """Return the room that a recording needs, from one pass over it."""
     latest = int(np.ceil(max((c.delays.most for c in a.survey.channels.values()), default=0.0) / a.clock.dt)) + 1
     room = Room()
     for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
@@ -137,7 +140,7 @@ def room_of(a: Playback) -> Room:
 
 
 def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
-    """Design the observers of a cell for a log; raise UserError where the log does not fit its plant or horizon."""
+    """Return the designed observers for a recording; raise UserError if it does not fit the plant or the duration."""
     s, cell = a.cell.scenario, a.cell
     where = f"{a.log.name} on {s.name}"
     if s.sampling.continuous:

@@ -1,12 +1,12 @@
-"""The smoother that sees a whole log: the best estimate of a linear model from all samples, those to come too.
+"""Fixed-interval smoother of a linear model: the best estimate at each tick from all samples of a recording.
 
-A Kalman filter over ticks, each sample used at the tick at which it was taken, and the adjoint backwards:
+It is a Kalman filter over ticks, with each sample used at the tick at which it was taken, and an adjoint backward pass:
 
     forward    x-, P- at each tick; channel by channel nu = y - c x - D u, s = c P c' + r, K = P c' / s
     backward   lambda <- lambda - c' (K' lambda + nu / s) over the channels, then A' lambda over a tick
     smoothed   x- - P- lambda
 
-No covariance is inverted, so a model without process noise is as good as another. Noise and prior are what designers are told.
+No covariance is inverted, so a model without process noise needs no special case. Noise and prior are those of the designs.
 Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973).
 """
 
@@ -25,8 +25,8 @@ from pcbench.protocols import Leaf
 from pcbench.runtime import memory, program_cache
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 1 << 26  # numbers that are kept of a whole log, at most
-COPIES = 1.5  # of them that are held at a time, with what else grows
+MOST = 1 << 26  # largest number of stored numbers for a recording
+COPIES = 1.5  # copies of them in memory at one time, including other arrays
 
 
 class Linear(NamedTuple):
@@ -37,23 +37,23 @@ class Linear(NamedTuple):
     Q: Float[Leaf, "n n"]
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
-    R: Float[Leaf, "*N q"]  # of all samples, or of those of each tick
+    R: Float[Leaf, "*N q"]  # common to all samples, or one row per tick
     x0: Float[Leaf, " n"]
     P0: Float[Leaf, "n n"]
 
 
 class Forward(NamedTuple):
-    """What is kept of every tick."""
+    """The stored values of every tick."""
 
     x: Array  # [N, n] before its samples
     P: Array  # [N, n, n]
-    K: Array  # [N, q, n] 0 of a channel without a sample
-    nu: Array  # [N, q] likewise
-    s: Array  # [N, q] 1 of such a channel
+    K: Array  # [N, q, n]; 0 for a channel without a sample
+    nu: Array  # [N, q]; 0 for a channel without a sample
+    s: Array  # [N, q]; 1 for a channel without a sample
 
 
 def model_of(known: DesignContext, xhat0: ArrayLike) -> Linear | None:
-    """Return the model that a setting tells of; None of one that is not linear, or is pushed by what nobody knows."""
+    """Return the model of a design context; None if it is not linear or has an unknown input."""
     if known.field or known.successor or known.model.E is not None or known.unknown_std:
         return None
     Phi, Gamma = linear.one_tick(known.model, known.dt)
@@ -63,9 +63,9 @@ def model_of(known: DesignContext, xhat0: ArrayLike) -> Linear | None:
 
 
 def fits(model: Linear, ticks: int) -> bool:
-    """Say whether there is memory to smooth so many ticks.
+    """Return whether there is enough memory to smooth this many ticks.
 
-    It is asked beforehand: a compiled program that finds none may end the process.
+    Checked in advance, because a compiled program without memory may end the process.
     """
     q, n = model.C.shape
     numbers = ticks * (2 * n + n * n + q * (n + 3) + model.Gamma.shape[1])
@@ -73,7 +73,7 @@ def fits(model: Linear, ticks: int) -> bool:
 
 
 def forward(model: Linear, u: Array, y: Array) -> Forward:
-    """Filter samples y [N, q] (NaN: none) at the ticks at which they were taken, under inputs u [N, m]."""
+    """Return the forward pass over samples y [N, q] (NaN: none) at their sampling ticks, with inputs u [N, m]."""
 
     def step(carry: tuple[Array, Array], row: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], Forward]:
         (x, P), (u, y, R) = carry, row

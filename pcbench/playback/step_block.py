@@ -1,7 +1,7 @@
-"""One observer over a stretch of a log: the tick of `simulation.simulate_runs`, with the log in place of plant and network.
+"""One observer over a block of ticks of a recording: the tick of `simulation.simulate_runs` without plant and network.
 
-The state is the truth where the log has it, and what is measured comes with the packet. So a tick is: note what is sampled,
-deliver what arrives, take the errors, move the observer.
+The state is the recorded truth, if known, and measurements come with the packet. A tick is: take snapshots of samples, deliver
+arrivals, add errors, flow.
 """
 
 from collections.abc import Callable
@@ -22,33 +22,33 @@ from pcbench.simulation.metrics import ErrorSums, SettlingState
 from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
-JUDGED = 4  # numbers of an InnovationStats; two for each channel follow: nu / sigma of all, then sigma of all
+JUDGED = 4  # numbers of an InnovationStats; two per channel follow: nu / sigma of all, then sigma of all
 
 
 class Score(NamedTuple):
-    """What is kept of errors where truth is known."""
+    """Error sums over ticks with known truth."""
 
-    before: ErrorSums  # the tail
+    before: ErrorSums  # before the tail, and in it
     tail: ErrorSums
     watch: SettlingState
-    final: Array  # [n] the last error
-    counts: Array  # [2, n] ticks at which truth is known, before the tail and in it
+    final: Array  # [n] last error
+    counts: Array  # [2, n] ticks with known truth, before the tail and in it
 
 
 class Read(NamedTuple):
-    """What is seen at every tick of a stretch."""
+    """The recorded values of every tick of a block."""
 
     estimate: Array  # [K, n]
-    sigma: Array  # [K, n] assumed standard deviations of its errors; [K, 0] if the observer has none or the layout asks none
-    surprise: Array  # [K, S, JUDGED + 2 q] how far packets are from what was expected; [K, S, 0] of who does not say it
-    delay: Array  # [K, 1] s, estimated; [K, 0] of who does not estimate it
+    sigma: Array  # [K, n] assumed standard deviations of the errors; [K, 0]: none, or not requested
+    surprise: Array  # [K, S, JUDGED + 2 q] innovation statistics of packets; [K, S, 0]: not reported
+    delay: Array  # [K, 1] s, estimated; [K, 0]: not estimated
 
 
-PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
+PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # no motion, no measurement
 
 
 def init_run(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tuple[Run, Score | None]:
-    """Return the observer before tick 0, and the score of nothing; None: no score."""
+    """Return the observer before tick 0, and an empty score; None: no score."""
     run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, rng.words(jnp.asarray(0), seed[None])[:, 0])
     if not scored:
         return run, None
@@ -60,7 +60,7 @@ def init_run(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> t
 
 
 def with_variances(run: Run) -> Run:
-    """Return a run before tick 0 whose observers have room for the variance of each sample that they keep."""
+    """Return a run before tick 0 whose observers have room for the variance of each stored sample."""
 
     def with_room(node: PyTree) -> PyTree:
         return node._replace(variance_ratio=jnp.ones(node.mask.shape)) if isinstance(node, Measurement) else node
@@ -78,7 +78,7 @@ def run(
     truth: Array,
     ends: Array,
 ) -> tuple[Run, Score | None, Read]:
-    """Take the observer over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
+    """Run the observer over `ticks` [K]; `ends` are the first tick of the tail, and the last tick, which is not scored."""
     ((label, o),) = layout.observers
     quiet = jnp.zeros((w.arrive.shape[1], JUDGED + 2 * len(p.params) if o.innovation else 0))
 
@@ -102,7 +102,7 @@ def run(
 
 
 def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array, run: Run) -> tuple[Run, Array]:
-    """Let what the log has for tick k happen: note what is sampled, deliver what arrives, the oldest packet first."""
+    """Apply the events of tick k: snapshots of samples, then arrivals, the oldest packet first."""
     ((label, o),) = layout.observers
     place, taken, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
     noted = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
@@ -127,7 +127,7 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
                 ticks_since_arrival=since,
                 variance_ratio=ratio,
             )
-            if o.innovation:  # NaN is what it leaves out
+            if o.innovation:  # NaN: a skipped sample
                 found = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(brought[label]))
                 unknown = jnp.full(w.mask[slot].shape, jnp.nan)
                 each = [unknown if numbers is None else numbers for numbers in (found.each, found.sigma)]
@@ -142,9 +142,9 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
 
 
 def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
-    """The score with those errors e [n] of tick k for which truth is known [n]."""
+    """Return the score after the errors e [n] of tick k, where truth is known [n]."""
     there, late = known & (k < ends[1]), k >= ends[0]
-    e = jnp.where(there, e, 0.0)  # which changes no sum
+    e = jnp.where(there, e, 0.0)  # adds nothing to the sums
     return Score(
         before=metrics.update(score.before, jnp.where(late, 0.0, e)),
         tail=metrics.update(score.tail, jnp.where(late, e, 0.0)),
@@ -155,7 +155,7 @@ def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: A
 
 
 def estimated_delay(layout: Layout, p: GridPointParams, run: Run, k: Array) -> Array:
-    """Return the delay that the observer estimates and its standard deviation [s]; 0 of one that estimates none."""
+    """Return the estimated delay and its standard deviation [s]; 0 if the observer estimates none."""
     ((label, o),) = layout.observers
     return o.delay(p.gains[label], run.memories[label], present(p, k, False)) if o.delay else jnp.zeros(2)
 

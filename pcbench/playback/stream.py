@@ -1,8 +1,8 @@
-"""What a log feeds to observers at every tick: samples (`recordings.windows`), inputs held until the next row, truth if known.
+"""Feed a recording to observers tick by tick: samples (`recordings.windows`), inputs held until the next row, truth if known.
 
-Rows of inputs and truth count from the nearest tick on; of several at one tick the last one does. Truth may lack states.
-Observers go through a log side by side, each with a program and a state of its own, in a thread of its own. So what one
-estimates does not depend on who else runs, and where there are cores several take as long as the slowest of them.
+Rows of inputs and truth apply from the nearest tick on; of several at one tick the last one applies. Truth may lack states.
+Each observer has its own program, state and thread. So its estimates do not depend on other observers, and with enough cores
+several take as long as the slowest.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,16 +28,16 @@ from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 
 
 class Part(NamedTuple):
-    """K ticks of a log, from tick `first` on; m inputs, n + s signals."""
+    """K ticks of a recording, from tick `first` on; m inputs, n + s signals."""
 
     first: int
     window: Window
-    inputs: Floats  # [back + K, m] from tick first - back on; those before tick 0 are 0
-    truth: Floats  # [K, n + s] NaN where it is not known; [K, 0]: of none
+    inputs: Floats  # [back + K, m] from tick first - back on; 0 before tick 0
+    truth: Floats  # [K, n + s] NaN: unknown; [K, 0]: no truth
 
 
 def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Part]:
-    """Yield a log in parts of its length, with `back` ticks of inputs before each, and the truth of `signals`."""
+    """Yield a recording in parts of fixed length, with `back` ticks of inputs before each, and the truth of `signals`."""
     inputs = at_ticks(a, a.log.inputs, "inputs", a.log.inputs.names if a.log.inputs else [""] * p.m)
     truth = at_ticks(a, a.log.truth, "truth", signals)
     before, arrived = np.zeros((p.back, p.m)), 0
@@ -53,7 +53,7 @@ def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Par
 
 
 def at_ticks(a: Playback, table: Table | None, what: str, names: Sequence[str]) -> Iterator[Floats]:
-    """Yield columns of a table as [length, columns] of every stretch of ticks, NaN where there is no row."""
+    """Yield columns of a table as [length, columns] for every block of ticks, NaN without a row."""
     where = f"{a.log.name}: {what}"
     missing = [name for name in names if table and name not in table.names]
     if table and missing and (what == "inputs" or len(missing) == len(names)):
@@ -76,13 +76,13 @@ def at_ticks(a: Playback, table: Table | None, what: str, names: Sequence[str]) 
 
     for first, rows in cut(rows_in_ticks(), a.length, a.last):
         out = np.full((a.length, len(names)), np.nan)
-        rows = rows.groupby(level=0).last()  # of each column the last value at a tick
+        rows = rows.groupby(level=0).last()  # the last value of each column at a tick
         out[rows.index - first] = rows
         yield out
 
 
 class Runner(NamedTuple):
-    """One observer on its way through a log."""
+    """One observer during a replay."""
 
     label: str
     layout: Layout
@@ -106,9 +106,9 @@ def init_runners(p: PlaybackSetup, scored: bool, seed: int) -> list[Runner]:
 def through(
     runners: list[Runner], parts: Iterable[Part], back: int, ends: Ints
 ) -> Iterator[tuple[Part, dict[str, Read]]]:
-    """Take observers through a log, and yield each part with what was seen in it while they go through the next.
+    """Run observers through a recording; yield each part with their outputs while the next one is computed.
 
-    At the end `runners` are at the end of the log; `back` is as in `Prepared`, `ends` as in `step_block.run`.
+    `runners` are updated in place. `back` is as in `PlaybackSetup`, `ends` as in `step_block.run`.
     """
 
     def advance(o: Runner, part: Part) -> tuple[Runner, Read]:

@@ -1,8 +1,8 @@
-"""Noise intensities that make a log most likely: fitted to its first part, judged on the rest, then fitted to the whole log.
+"""Maximum-likelihood noise intensities: fitted to the first part of a recording, tested on the rest, fitted to the whole.
 
-The same parameters, descent, history and refusals as `gains.tune`; the objective is minus the mean log-likelihood of a number.
-What is held out is the part that a replay holds out (`innovation_tests.HELD_OUT` of the ticks). The fit to the whole log starts
-from the first one and is the result, since a rare channel needs all samples; the held-out gain is that of the first.
+Parameters, descent, history and refusals are those of `gains.tune`. The objective is minus the mean log-likelihood per number.
+The held-out part is that of a replay (`innovation_tests.HELD_OUT` of the ticks). The fit to the whole recording starts from the
+first one and is the result, as a rare channel needs all samples. The held-out gain is that of the first fit.
 """
 
 from collections.abc import Callable
@@ -38,40 +38,40 @@ from pcbench.study.load import Described
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design
 
-UNLIKELY = 0.05  # a p-value of whiteness below which intervals are said to be too short
-CORRECTED = "recording.toml"  # the log with the stamps that were found
-NOISE = ("R", "q", "Q")  # options of an observer that are intensities of noise
-FEWEST = 10  # numbers in the part that is tuned on, and in the rest, for each free parameter
-SHORT, SLOPE = 1e-4, 0.02  # of every parameter, a difference; and by how much of itself a slope may differ from it
-FLAT = 1e-6  # slope of the mean log-likelihood of a number at which a descent has arrived
+UNLIKELY = 0.05  # p-value of whiteness below which intervals are reported as too short
+CORRECTED = "recording.toml"  # the recording with corrected timestamps
+NOISE = ("R", "q", "Q")  # options of an observer that are noise intensities
+FEWEST = 10  # smallest number of numbers per free parameter, in either part
+SHORT, SLOPE = 1e-4, 0.02  # step of differences in every parameter; allowed relative deviation of a slope from them
+FLAT = 1e-6  # slope of the mean log-likelihood per number at which a descent has converged
 
 
 class Intensity(NamedTuple):
-    """One number that was tuned."""
+    """One tuned number."""
 
-    name: str  # of the option, with the place in it: R[0], Q[1]
+    name: str  # of the option, with its index: R[0], Q[1]
     start: float
-    found: float  # on the whole log
-    low: float  # 95 % interval; NaN: the log does not tell it; 0: `high` is a one-sided limit
+    found: float  # from the whole recording
+    low: float  # 95 % interval; NaN: undetermined; 0: `high` is a one-sided limit
     high: float
 
 
 class LogTuning(NamedTuple):
-    """What tuning on a log has given."""
+    """Results of tuning on a recording."""
 
-    study: dict[str, Any]  # the plant and the observer with the options chosen: what tuned.toml says
+    study: dict[str, Any]  # plant and observer with the chosen options: the content of tuned.toml
     start: dict[str, float | list[float]]
     found: dict[str, float | list[float]]
-    kept_start: str  # why the start was kept; empty: what was found is chosen
+    kept_start: str  # reason why the start was kept; empty: the tuned options are chosen
     intensities: list[Intensity]
-    # of start and tuned (to the first part): what `innovation_tests` says, of the held-out part alone
+    # for start and tuned (to the first part): results of `innovation_tests` for the held-out part
     held_out: dict[str, dict[str, float | str]]
-    gain: float  # in log-likelihood of a held-out number, tuned to the first part less start,
+    gain: float  # in log-likelihood per held-out number, tuned to the first part minus start
     gain_se: float  # and its standard error over samples
-    points: list[Evaluation]  # of the fit to the first part, then of that to the whole log
+    points: list[Evaluation]  # of the fit to the first part, then of that to the whole recording
     said: list[str]
-    log_likelihood: float  # mean of a number of the log, as in a replay with the delays and the noise chosen
-    delays: list[ChannelDelay]  # empty: none was looked for
+    log_likelihood: float  # mean per number of the recording, as in a replay with the chosen delays and noise
+    delays: list[ChannelDelay]  # empty: not estimated
 
 
 def tune_log(
@@ -89,12 +89,13 @@ def tune_log(
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
 ) -> LogTuning:
-    """Find an observer's noise intensities (`only` some options) on a log; a fit to its first part is judged on the rest.
+    """Estimate an observer's noise intensities (`only` some options) from a recording.
 
-    `log`, `plant`, `delay` and `start` are as in `replay`; each of the two fits replays the log `budget` times at most. With
-    `find_delay` the delay of each channel is found first, with the noise that suits it, up to `max_delay` [s] (default: ten
-    sampling intervals), and stamps are corrected by it. The folder `out` holds the histories and tuned.toml, which `replay` and
-    `run` take, and recording.toml, the log with corrected stamps. Raises UserError if the user has to act.
+    A fit to the first part is tested on the rest. `log`, `plant`, `delay` and `start` are as in `replay`. Each of the two fits
+    replays the recording at most `budget` times. With `find_delay` the delay of each channel is estimated first, with its most
+    likely noise, up to `max_delay` [s] (default: ten sampling intervals), and timestamps are corrected. The folder `out`
+    contains the histories, tuned.toml, which `replay` and `run` accept, and recording.toml, the recording with corrected
+    timestamps. Raises UserError if the user has to act.
     """
     if max_delay is not None and not find_delay:
         raise UserError("--max-delay has no effect without --find-delay; leave it out, or add --find-delay.")
@@ -143,7 +144,7 @@ def tune_log(
         progress.note("compiling")
         look = likelihood.evaluator(p, part, design)
         before = look(at_start)
-        _require_samples(before.tick, before.numbers[:, 1], cut, len(at_start), where)  # an observer may leave some out
+        _require_samples(before.tick, before.numbers[:, 1], cut, len(at_start), where)  # an observer may skip some
         if not np.isfinite(before.each).all():
             raise tune.NoStart(
                 f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
@@ -200,7 +201,7 @@ def tune_log(
 def _find_delays(
     a: Playback, only: list[str] | None, longest: float | None, where: str, progress: Progress
 ) -> tuple[list[ChannelDelay], list[str]]:
-    """The delay of each channel, with the noise that suits it."""
+    """Return the delay of each channel, estimated with its most likely noise."""
     ((label, options),) = a.cell.options.items()
     entry = a.cell.entry(label)
     if not entry.knows_schedule:
@@ -229,13 +230,13 @@ def _find_delays(
 
 
 def _judgement(numbers: Floats) -> dict[str, float | str]:
-    """What innovations say of some samples."""
+    """Return the innovation tests of some samples."""
     sums = innovation_tests.add(innovation_tests.Sums(), numbers, np.ones(len(numbers), bool))
     return innovation_tests.judgement(sums)
 
 
 def _require(entry: ObserverSpec, budget: int, where: str) -> None:
-    """Raise UserError where an observer has no likelihood."""
+    """Raise UserError if an observer has no likelihood."""
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {tune.BUDGET}.")
     if entry.observer.innovation is None:
@@ -251,7 +252,7 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
 
 
 def _require_slope(look: Callable[[Vector], SampleLikelihood], at: Vector, here: SampleLikelihood, where: str) -> None:
-    """Raise UserError if the slope of the likelihood is not that of its differences: of steps that are drawn or solved for."""
+    """Raise UserError if the likelihood's derivative differs from its differences, as for random or iterated steps."""
     beyond, behind = (look(at + sign * SHORT).each.sum() for sign in (1, -1))
     by_differences, slope = (beyond - behind) / (2 * SHORT), here.score.sum()
     if not abs(by_differences - slope) <= SLOPE * (abs(slope) + np.sqrt(len(here.each))):
@@ -264,7 +265,7 @@ def _require_slope(look: Callable[[Vector], SampleLikelihood], at: Vector, here:
 def _tuned_options(
     entry: ObserverSpec, options: BaseModel, designed: Design, only: list[str] | None, where: str
 ) -> list[str]:
-    """The options to tune: `only`, or all intensities of noise that are not 0."""
+    """Return the options to tune: `only`, or all noise intensities that are not 0."""
     if only is not None:
         return only
     names = []
@@ -283,7 +284,7 @@ def _tuned_options(
 
 
 def _require_samples(tick: Ints, numbers: Ints | Floats, cut: int, free: int, where: str) -> None:
-    """Raise UserError where too few `numbers` [N] came at ticks [N] to tune on, or to judge on."""
+    """Raise UserError if there are too few `numbers` [N] at ticks [N] to tune or to test."""
     early, least = tick < cut, FEWEST * free
     for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
         if (many := int(numbers[which].sum())) < least:
@@ -294,7 +295,7 @@ def _require_samples(tick: Ints, numbers: Ints | Floats, cut: int, free: int, wh
 
 
 def _value(samples: SampleLikelihood, end: int) -> tuple[float, Vector]:
-    """Minus the mean log-likelihood of a number before a tick, and its slope, 0 where it is flat."""
+    """Return minus the mean log-likelihood per number before a tick, and its slope, set to 0 where it is flat."""
     early = samples.tick < end
     degrees = samples.numbers[early, 1].sum()
     slope = -samples.score[early].sum(0) / degrees
@@ -305,7 +306,7 @@ def _value(samples: SampleLikelihood, end: int) -> tuple[float, Vector]:
 def _intensities(
     free: list[parameters.Free], start: Vector, best: Vector, low: Vector, high: Vector
 ) -> list[Intensity]:
-    """Each free number with its interval, whose ends are as in `innovation_tests.intervals`."""
+    """Return each free number with its interval, whose ends are as in `innovation_tests.intervals`."""
     unknown = np.isnan(high)
     points = (start, best, *(np.where(unknown, best, end) for end in (low, high)))
     rows = [np.concatenate([np.ravel(v) for v in parameters.written(free, at).values()]) for at in points]
@@ -316,7 +317,7 @@ def _intensities(
 
 
 def _factors(a: Playback, p: PlaybackSetup, found: dict[str, Any]) -> list[str]:
-    """What a tuned R says of the standard deviations that a log states: it multiplies all of a channel."""
+    """Return the factor by which a tuned R scales the stated standard deviations of each channel, as a sentence."""
     if p.variances is None or "R" not in found:
         return []
     factors = zip(a.log.channels, np.sqrt(found["R"] / p.variances), strict=True)
@@ -325,7 +326,7 @@ def _factors(a: Playback, p: PlaybackSetup, found: dict[str, Any]) -> list[str]:
 
 
 def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | str) -> list[str]:
-    """What one should know of the intervals; `ljung_box_p` is that of the held-out part."""
+    """Return remarks on the intervals; `ljung_box_p` is that of the held-out part."""
     out = []
     if not arrived:
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
@@ -351,7 +352,7 @@ def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | s
 
 
 def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
-    """Write a study that can be run, and under [resolved.tuning] how it came about."""
+    """Write a study that can be run, and the record of the tuning under [resolved.tuning]."""
     said: dict[str, object] = {
         "about": about,
         "start": tuned.start,
@@ -360,5 +361,5 @@ def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     }
     said |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     said |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
-    record = plain(said, nulls=False)  # TOML has none: what is not known is left out
+    record = plain(said, nulls=False)  # TOML has no null: unknown values are left out
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

@@ -1,1 +1,1 @@
-"""Recorded data: measurements, inputs and truth as tables, from whatever they were recorded in, a part at a time. No jax."""
+"""Recorded data of several formats: measurements, inputs and truth as tables, read in parts. No jax."""

@@ -1,8 +1,9 @@
-"""What is in a file before anything says what is a channel: topics with their fields, rates and ranges; a TOML to start from.
+"""The contents of a file before channels are mapped: topics with fields, rates and ranges; and a starter TOML.
 
-A field is *constant* if all its numbers are one, and *repeats* where a row has the number of the row before. Stamps are the
-first times by type (a header's, timestamp_sample), else a column that is called t, time or stamp, best one that rises, else
-the first column if it rises. If a column of times does not rise, is empty in some rows or holds text, a sentence says so.
+A field is *constant* if all its numbers are equal. It *repeats* if a row has the number of the row before. The timestamps are
+the first field with a time type (a header's, timestamp_sample). Otherwise they are a column called t, time or stamp, preferably
+an increasing one, or else the first column if it increases. If a column of times does not increase, is partly empty or contains
+text, a sentence reports this.
 """
 
 import json
@@ -24,49 +25,49 @@ TOPICS |= {readers.FORMATS[".ulg"]: ulog.topics, readers.FORMATS[".mat"]: matlab
 TIME = re.compile(r"(t|time|stamp|timestamp|sampled|x_value|seconds_elapsed)\b", re.IGNORECASE)
 INPUT = re.compile(r"(u\d*|.*(input|cmd|command|control|motor|throttle|actuator|voltage|setpoint).*)", re.IGNORECASE)
 COUNTER = re.compile(r".*(seq|count|index|time|stamp|came|arrived|received)", re.IGNORECASE)
-ACTIVE = 8  # channels at most that a TOML begins with; further ones are comments
-EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a stamp that large counts from 1970 in this unit
+ACTIVE = 8  # largest number of active channels in a starter TOML; further ones are comments
+EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a timestamp this large counts from 1970 in this unit
 
 
 class FieldStats(NamedTuple):
-    """What is known of the numbers of one field."""
+    """Statistics of the numbers of one field."""
 
     spread: Spread = Spread()
     rows: int = 0
-    repeats: int = 0  # rows with the number of the row before
-    falls: int = 0  # rows with a number that is not above that of the row before
+    repeats: int = 0  # rows that repeat the number of the row before
+    falls: int = 0  # rows with a number not above that of the row before
     last: float = np.nan
 
     @property
     def constant(self) -> bool:
-        """Whether all its numbers are one."""
+        """Whether all its numbers are equal."""
         return self.spread.many > 1 and self.spread.least == self.spread.most
 
 
 class Contents(NamedTuple):
-    """What is in one topic."""
+    """Contents of one topic."""
 
     topic: Topic
     fields: dict[str, FieldStats]
-    stamp: str | None  # the field of times
-    unit: str | None  # of its numbers; None: it is a time by its type
-    problem: str = ""  # why its numbers could not be read
+    stamp: str | None  # field of timestamps
+    unit: str | None  # of its numbers; None: it has a time type
+    problem: str = ""  # reason why its numbers could not be read
 
     @property
     def span(self) -> tuple[float, float]:
-        """The first and the last stamp [s]."""
+        """First and last timestamp [s]."""
         scale = SECONDS[self.unit or "s"]
         spread = self.fields[self.stamp].spread if self.stamp in self.fields else Spread()
         return (scale * spread.least, scale * spread.most) if spread.many else (np.nan, np.nan)
 
 
 def is_log(path: Path) -> bool:
-    """Say whether a file or folder says by itself which channels it has."""
+    """Return whether a file or folder names its channels itself."""
     return path.suffix.lower() == ".toml" or not path.exists() or readers.has_tables(path)
 
 
 def contents(path: Path) -> list[Contents]:
-    """Return what is in a file; raise UserError if it cannot be read."""
+    """Return the contents of a file; raise UserError if it cannot be read."""
     kind = readers.format_of(path, path.name)
     source = Source(path, "", [], set(), None, path.name, topics={""}, loaded={})
     topics = list(TOPICS[kind](source))
@@ -107,7 +108,7 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
 
 
 def _time_problem(stamp: str, s: FieldStats | None) -> str:
-    """Return what is wrong with the times of a table; empty: nothing."""
+    """Return the problem with the times of a table; empty: none."""
     if s is None:
         return f"column '{stamp}' holds text that is no time, expected seconds or ISO 8601; convert its values."
     empty, wrong = s.rows - s.spread.many, []
@@ -131,7 +132,7 @@ def _more(s: FieldStats, numbers: Floats) -> FieldStats:
 
 
 def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
-    """Return one row for each field that is no time, times in seconds; of a topic without one a row without a field."""
+    """Return one row per field that is not a time, times in seconds; a topic without numbers has a row without a field."""
     rows = []
     for c in found:
         first, last = c.span
@@ -151,7 +152,7 @@ def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
 
 
 def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
-    """Return a TOML in `folder` that maps fields to channels and inputs; what is unlikely to be one is a comment."""
+    """Return a TOML in `folder` that maps fields to channels and inputs; unlikely ones are comments."""
     kind, counts = readers.format_of(path, path.name), {"channels": 0, "inputs": 0}
     units = {c.unit for c in found if c.unit not in (None, "s") and tables.name_and_unit(str(c.stamp))[1] != c.unit}
     lines = [
@@ -181,5 +182,5 @@ def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
 
 
 def _text(value: str) -> str:
-    """A text as TOML has it."""
+    """Return a text in TOML form."""
     return json.dumps(value, ensure_ascii=False)

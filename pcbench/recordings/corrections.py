@@ -1,18 +1,8 @@
-"""What a TOML corrects of a recording: stamps, units, an origin, values that are only held; and a TOML with corrected stamps.
+"""Corrections of a recording by a TOML: timestamps, units, origin, held values; and a TOML with corrected timestamps.
 
-    value = scale * what the recording has + offset,   stamp = what it has + clock_offset,   arrival = stamp + delay
+    value = scale * recorded value + offset,   timestamp = recorded one + clock_offset,   arrival = timestamp + delay
 
-A table of measurements has no fields that a TOML maps to channels, but it is corrected in the same words:
-
-    log = "flight"                      # a folder or file of tables
-    [channels.y1]                       # channels, inputs and states that are not named stay as they are
-    clock_offset = -0.135               # [s]
-    scale = 1000.0
-    offset = -4500.0                    # such as minus the operating point
-    only_changes = true                 # a value that equals the one before it is not a measurement
-    delay = 0.2                         # [s], of a table without the column arrived: all channels need one
-    [inputs.u1]                         # scale and offset
-    [truth.level]
+A table of measurements needs no mapping of fields to channels, but has the same keys for corrections:
 """
 
 import os
@@ -57,20 +47,20 @@ class TablesToml(BaseModel):
 
 
 class Changes:
-    """Which values of a channel differ from the one before, a part at a time."""
+    """Detect changes of a channel's value, in parts."""
 
     def __init__(self) -> None:
         self.last: Floats = np.full(1, np.nan)
 
     def __call__(self, values: Floats) -> NDArray[np.bool_]:
-        """Return where values differ from the one before, which may be of an earlier part."""
+        """Return where values differ from the previous one, also across parts."""
         changed = np.diff(values, prepend=self.last) != 0
         self.last = values[-1:] if len(values) else self.last
         return np.asarray(changed)
 
 
 def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
-    """Return tables with corrections; `late`: samples arrive a delay after their stamp, which each channel has.
+    """Return tables with corrections; `late`: samples arrive a delay after their timestamp, which each channel must have.
 
     Raises UserError for a name that the tables do not have.
     """
@@ -125,10 +115,10 @@ def _corrected(table: Table | None, given: Mapping[str, Values]) -> Table | None
 
 
 def toml_with_offsets(log: Path, offsets: Mapping[str, float], delay: float | None, folder: Path) -> str:
-    """Return a TOML in `folder` of a recording with `offsets` [s] added to the stamps of its channels.
+    """Return a TOML in `folder` of a recording with `offsets` [s] added to the timestamps of its channels.
 
-    Arrivals stay as they are: where they follow from a delay, of the TOML or all samples' `delay` [s], it is longer by as much
-    as stamps are earlier.
+    Arrival times stay the same. If they follow from a delay, of the TOML or the common `delay` [s], the delay is increased as
+    much as timestamps are moved back.
     """
     is_toml = log.suffix.lower() == ".toml"
     raw: TomlTable = toml_text.parse(log.read_bytes()) if is_toml else {"log": "."}

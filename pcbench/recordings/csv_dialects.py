@@ -1,8 +1,8 @@
-"""How a program has written a table as text: encoding, separator, decimal sign, lines before the head, units below it.
+"""Detect the form of a text table: encoding, separator, decimal sign, lines before the head, units below it.
 
-All is found in the first SAMPLE bytes, unless the table [csv] of a TOML gives it. Rows are the last lines that have one number
-of cells and a number or a time in each. The line above them is the head, a comment too; or the line above that, if the line
-between holds units. A table without a head has the columns 0, 1, ..., and those of a trajectory as TUM writes them.
+All are detected from the first SAMPLE bytes, unless the table [csv] of a TOML sets them. Rows are the last lines with equal
+numbers of cells and a number or a time in each. The line above them is the head, also if it is a comment. If that line contains
+units, the head is the line above it. A table without a head has the columns 0, 1, ..., or those of a trajectory in TUM format.
 """
 
 import codecs
@@ -19,17 +19,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcbench.errors import UserError
 from pcbench.signal_names import UNIT
 
-SAMPLE, LINES = 1 << 16, 500  # bytes and lines that are looked at
+SAMPLE, LINES = 1 << 16, 500  # bytes and lines that are examined
 COMMENT = re.compile(r"\s*(#|%|//)\s*")
-EMPTY = re.compile(r"\s*((#|%|//).*)?")  # a line that is no row
-ALONE = 0.1  # a table of one column is what no separator explains better
+EMPTY = re.compile(r"\s*((#|%|//).*)?")  # a line that is not a row
+ALONE = 0.1  # score of a table of one column, chosen if no separator explains more
 SEPARATORS = (";", "\t", ",", "|", " ")
 TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 KINDS: dict[str, tuple[re.Pattern[str], pa.DataType]] = {
     "number": (re.compile(r"[+-]?(\d+(\.\d*|,\d+)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(inf|nan)", re.IGNORECASE), pa.float64()),
     "zoned": (re.compile(r"\d{4}-\d\d-\d\d[T ][\d:]+(\.\d+)?(Z|[+-]\d\d(:?\d\d)?)"), pa.timestamp("ns", "UTC")),
     "date": (re.compile(r"\d{4}-\d\d-\d\d([T ][\d:]+(\.\d+)?)?"), pa.timestamp("ns")),
-    "worded": (  # a date with a zone that is no time as read: its blanks separate no cells
+    "worded": (  # a date with an unsupported time zone: its blanks do not separate cells
         re.compile(r"\d{4}-\d\d-\d\d[T ][\d:]+(\.\d+)? ?([A-Za-z][\w/+:-]*|[+-]\d\d(:?\d\d)?)"),
         pa.string(),
     ),
@@ -38,7 +38,7 @@ KINDS: dict[str, tuple[re.Pattern[str], pa.DataType]] = {
 
 
 class CsvOptions(BaseModel):
-    """What a TOML says of a CSV file; what it leaves out is found."""
+    """Options of a CSV file in a TOML; missing ones are detected."""
 
     model_config = ConfigDict(extra="forbid")
     encoding: str | None = None
@@ -56,23 +56,23 @@ class Dialect(NamedTuple):
     encoding: str
     separator: str
     decimal: str
-    names: tuple[str, ...]  # of columns, each with its unit if one is given
+    names: tuple[str, ...]  # of columns, with units if given
     types: tuple[pa.DataType, ...]  # of columns: numbers or times
     skip: int  # lines before the first row
 
 
 class Layout(NamedTuple):
-    """How well a separator explains the lines of a file: better ones are larger."""
+    """How well a separator explains the lines of a file: larger is better."""
 
-    explained: float  # share of cells of rows that are numbers, times or empty
+    explained: float  # share of cells in rows that are numbers, times or empty
     rows: int
     separator: str
-    first: int  # row's line
-    many: int  # columns
+    first: int  # line of the first row
+    many: int  # number of columns
 
 
 def dialect(path: Path, given: CsvOptions) -> Dialect:
-    """Return how a file is written; raise UserError if it is no text."""
+    """Return the dialect of a file; raise UserError if it is not text."""
     with path.open("rb") as file:
         sample = file.read(SAMPLE)
         cut_off = bool(file.read(1))
@@ -94,12 +94,12 @@ def dialect(path: Path, given: CsvOptions) -> Dialect:
 
 
 def _encoding(sample: bytes) -> str:
-    """The encoding that a file's first bytes are valid in: latin-1 is what every byte is valid in."""
+    """Return the encoding in which a file's first bytes are valid; every byte is valid in latin-1."""
     for mark, name in ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
         if sample.startswith(mark):
             return name
     try:
-        codecs.getincrementaldecoder("utf-8")().decode(sample)  # the last letter may be cut
+        codecs.getincrementaldecoder("utf-8")().decode(sample)  # the last character may be cut
         return "utf-8"
     except UnicodeDecodeError:
         return "latin-1"
@@ -107,7 +107,7 @@ def _encoding(sample: bytes) -> str:
 
 def _decode(sample: bytes, encoding: str, path: Path) -> str:
     try:
-        text = sample.decode(encoding, "ignore").removeprefix("\ufeff")  # the last letter may be cut
+        text = sample.decode(encoding, "ignore").removeprefix("\ufeff")  # the last character may be cut
     except LookupError as error:
         raise UserError(f"{path.name}: encoding: {error}; write another in [csv], such as 'latin-1'.") from None
     if "\0" in text or not text.strip():
@@ -117,19 +117,19 @@ def _decode(sample: bytes, encoding: str, path: Path) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """The cells of a line."""
+    """Return the cells of a line."""
     if separator == " ":
         return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
 def _kind(cell: str) -> str:
-    """What a cell holds: a key of KINDS, a word, or nothing."""
+    """Return the kind of a cell: a key of KINDS, a word, or empty."""
     return next((k for k, (pattern, _) in KINDS.items() if pattern.fullmatch(cell)), "word") if cell else "nothing"
 
 
 def _type(cells: tuple[str, ...]) -> pa.DataType:
-    """The type of a column: that of its first number or time, text if it has words alone."""
+    """Return the type of a column: that of its first number or time; text if it has words only."""
     kinds = [_kind(cell) for cell in cells]
     return next((KINDS[kind][1] for kind in kinds if kind in KINDS), pa.string() if "word" in kinds else pa.float64())
 
@@ -139,7 +139,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _layout(lines: list[str], separator: str) -> Layout:
-    """How well a separator explains some lines, and where their rows begin."""
+    """Return how well a separator explains some lines, and where their rows begin."""
     cells = {i: _cells(line, separator) for i, line in enumerate(lines) if line.strip() and not _is_comment(line)}
     kinds = {i: [_kind(cell) for cell in mine] for i, mine in cells.items()}
     numbers = {i for i, mine in kinds.items() if KINDS.keys() & set(mine)}
@@ -162,7 +162,7 @@ def _layout(lines: list[str], separator: str) -> Layout:
 
 
 def _head(lines: list[str], layout: Layout, given: int | None) -> tuple[list[str], int]:
-    """The names of the columns, with units if the line below holds them, and the line of the first row."""
+    """Return the names of the columns, with units if the line below has them, and the line of the first row."""
     if given is not None:
         return (_cells(lines[given - 1], layout.separator) if 0 < given <= len(lines) else []), max(layout.first, given)
     above = [line for line in lines[: layout.first] if line.strip()][-2:]
@@ -179,7 +179,7 @@ def _head(lines: list[str], layout: Layout, given: int | None) -> tuple[list[str
 
 
 def squeezed() -> Callable[[bytes], bytes]:
-    """Return what makes one blank of each run of blanks in a file, a chunk at a time."""
+    """Return a function that replaces each run of blanks in a file by one, in chunks."""
     rest = b""
 
     def squeeze(chunk: bytes) -> bytes:
@@ -188,6 +188,6 @@ def squeezed() -> Callable[[bytes], bytes]:
         body = data.rstrip(b" \t\r\n")
         rest = data[len(body) :]
         out = re.sub(rb"[ \t]*([\r\n])[ \t]*|[ \t]+", lambda blank: blank[1] or b" ", body)
-        return out or (b"\n" if len(chunk) else b"")  # nothing is what ends a file
+        return out or (b"\n" if len(chunk) else b"")  # an empty chunk would end the file
 
     return squeeze

@@ -1,8 +1,8 @@
-"""How large a compressed recording is when it is unpacked, found out before it takes memory.
+"""Limit the unpacked size of a compressed recording before it takes memory.
 
 A file of a few kilobytes can unpack to gigabytes. Unpacked, a recording may have PLAIN bytes, or RATIO times the bytes of its
-file if that is more; of a bag or MCAP each chunk, for its reader unpacks one at a time. What a file says of its own sizes is
-not believed: every compressed part is unpacked in steps and counted before its reader unpacks it at once.
+file if that is more. For a bag or MCAP this applies to each chunk, as its reader unpacks one at a time. Sizes stated in the
+file are ignored: every compressed part is unpacked in steps and counted before its reader unpacks it at once.
 """
 
 import struct
@@ -19,15 +19,15 @@ import pyarrow as pa
 from pcbench.errors import UserError
 
 PLAIN = 64 * 2**20
-RATIO = 50  # recordings of sensors are compressed 2 to 20 times
-STEP = 2**16  # bytes that are unpacked at a time
+RATIO = 50  # recordings of sensors compress by factors of 2 to 20
+STEP = 2**16  # bytes unpacked at a time
 HEADER = 128  # bytes of a MATLAB file before its first variable
 COMPRESSED = 15  # the type of a compressed variable
-MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"  # how such files begin
+MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"  # first bytes of such files
 
 
 def require_small(unpacked: int, file: int, where: str) -> None:
-    """Raise UserError if a recording is too large unpacked [bytes] for the size of its file [bytes]."""
+    """Raise UserError if the unpacked size [bytes] is too large for the size of the file [bytes]."""
     if unpacked > max(PLAIN, RATIO * file):
         raise UserError(
             f"{where}: got {file / 1e6:.3g} MB that unpack to more than {max(PLAIN, RATIO * file) / 1e6:.3g} MB, expected at "
@@ -50,7 +50,7 @@ def require_small_mat(path: Path, where: str) -> None:
 
 
 def _sizes(packed: bytes) -> Iterator[int]:
-    """Yield the sizes of the parts that a compressed variable unpacks to; what is damaged ends it, its reader says so."""
+    """Yield the unpacked sizes of the parts of a compressed variable; damage ends the iteration, as the reader reports it."""
     unpack = zlib.decompressobj()
     with suppress(zlib.error):
         while packed and not unpack.eof:
@@ -59,7 +59,7 @@ def _sizes(packed: bytes) -> Iterator[int]:
 
 
 def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) -> None:
-    """Raise UserError if what is packed as zstd, lz4 or bz2 into `size` bytes is too large unpacked."""
+    """Raise UserError if data packed as zstd, lz4 or bz2, of `size` bytes, is too large unpacked."""
     total = 0
     with _left_to_its_reader(), pa.CompressedInputStream(packed, codec) as file:
         while step := len(file.read(STEP)):
@@ -69,7 +69,7 @@ def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) ->
 
 @contextmanager
 def _left_to_its_reader() -> Iterator[None]:
-    """What is damaged ends a check, for its reader says so."""
+    """Ignore damage in a check, as the reader reports it."""
     try:
         yield
     except UserError:
@@ -79,7 +79,7 @@ def _left_to_its_reader() -> Iterator[None]:
 
 
 def require_small_mcap(path: Path, where: str) -> None:
-    """Raise UserError if a chunk of an MCAP file is too large unpacked, found by its records or by its index."""
+    """Raise UserError if a chunk of an MCAP file is too large unpacked, found by its records or its index."""
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
@@ -93,7 +93,7 @@ def require_small_mcap(path: Path, where: str) -> None:
 
 
 def _require_small_chunks(file: BinaryIO, where: str, most: int | None = None) -> None:
-    """The packed chunks among the records of an MCAP file: of all, or of the first few from where the file is now."""
+    """Check the packed chunks among the records of an MCAP file: all, or the first few from the present position."""
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader
 
@@ -119,7 +119,7 @@ def require_small_bag(path: Path, where: str) -> None:
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as opened:
         for reader in opened.readers:
             for chunk in getattr(reader, "chunks", {}).values():
-                codec = chunk.decompressor.__module__.partition(".")[0]  # of its package
+                codec = chunk.decompressor.__module__.partition(".")[0]  # name of its package
                 with path.open("rb") as file:
                     file.seek(chunk.datapos)
                     if codec in ("bz2", "lz4"):

@@ -1,13 +1,13 @@
-"""Channels, inputs and states that are formulas of fields, such as "yaw(pose.orientation)" or "north(lat, 48.1)".
+"""Channels, inputs and states as formulas of fields, such as "yaw(pose.orientation)" or "north(lat, 48.1)".
 
-Formulas are parsed by `expression`, and nothing is ever run as code. They are computed a part of a recording at a time:
-`unwrap` and `diff` keep the last number of the part before. All angles are in radians, but for the degrees of lat and lon.
+`expression` parses formulas; nothing is executed as code. They are computed in parts: `unwrap` and `diff` keep the last number
+of the previous part. Angles are in radians, except lat and lon in degrees.
 
-- `north(lat, lat0)`, `east(lon, lat0, lon0)`: metres from an origin, on the plane that touches the ellipsoid of WGS84 there. At
-  1 km from the origin they are some 0.1 m wrong, at 10 km some 10 m.
+- `north(lat, lat0)`, `east(lon, lat0, lon0)`: metres from an origin, on the tangent plane of the WGS84 ellipsoid. The error is
+  about 0.1 m at 1 km from the origin, and about 10 m at 10 km.
 - `yaw(w, x, y, z)` of a quaternion: atan2(2 (w z + x y), 1 - 2 (y^2 + z^2)); `yaw(q)` is `yaw(q.w, q.x, q.y, q.z)`
-- `unwrap(x)`, `unwrap(x, period)`: without the jumps of an angle; 2 pi if no period is given
-- `diff(x)`: the change since the row before; the first row has none
+- `unwrap(x)`, `unwrap(x, period)`: an angle without jumps; the default period is 2 pi
+- `diff(x)`: the change since the previous row; the first row has none
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from pcbench.errors import UserError, short
 from pcbench.expression import Tree
 from pcbench.recordings.log import Columns, Floats
 
-A, E2 = 6378137.0, 0.00669437999014  # of WGS84: the equator's radius [m], the square of the eccentricity
+A, E2 = 6378137.0, 0.00669437999014  # of WGS84: equatorial radius [m], eccentricity squared
 Function = Callable[..., Floats]
 
 
@@ -41,7 +41,7 @@ def yaw(w: Floats, x: Floats, y: Floats, z: Floats) -> Floats:
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-PLAIN: dict[str, tuple[Function, set[int]]] = {  # with the numbers of arguments that they take
+PLAIN: dict[str, tuple[Function, set[int]]] = {  # with the allowed numbers of arguments
     **{name: (getattr(np, name), {1}) for name in ("sin", "cos", "tan", "sqrt", "exp", "log", "abs")},
     **{"atan2": (np.arctan2, {2}), "north": (north, {2}), "east": (east, {3}), "yaw": (yaw, {4})},
 }
@@ -49,14 +49,14 @@ ARGUMENTS = {name: many for name, (_, many) in PLAIN.items()} | {"unwrap": {1, 2
 
 
 class Quantity(NamedTuple):
-    """What is computed of some fields of a recording."""
+    """A quantity computed from fields of a recording."""
 
     fields: list[str]
-    evaluator: Callable[[], Callable[[Columns], Floats]]  # what computes it, for one part after the other
+    evaluator: Callable[[], Callable[[Columns], Floats]]  # returns a function that computes one part after another
 
 
 def quantity(field: str | None, formula: str | None, scale: float, offset: float, where: str) -> Quantity:
-    """Return `scale` times a field or a formula, plus `offset`; raise UserError for none, both or what is no formula."""
+    """Return `scale` times a field or a formula, plus `offset`; raise UserError for none, both or an invalid formula."""
     if (field is None) == (formula is None):
         got = "neither field nor formula" if field is None else "field and formula"
         raise UserError(f'{where}: got {got}, expected one of them; write field = "NAME" or formula = "...".')
@@ -72,7 +72,7 @@ def quantity(field: str | None, formula: str | None, scale: float, offset: float
 
 
 def _expand(tree: Tree) -> Tree:
-    """A formula with `yaw(q)` written out; raises ValueError for a function of a wrong number of arguments."""
+    """Return a formula with `yaw(q)` expanded; raise ValueError for a wrong number of arguments."""
     if not isinstance(tree, tuple):
         return tree
     name, arguments = tree[0], tree[1:]
@@ -85,8 +85,8 @@ def _expand(tree: Tree) -> Tree:
 
 
 def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
-    """Return what computes a formula for one part of a recording after the other."""
-    last: dict[int, Floats] = {}  # number of each `unwrap` and `diff`, by the identity of its node
+    """Return a function that computes a formula for one part of a recording after another."""
+    last: dict[int, Floats] = {}  # last number of each `unwrap` and `diff`, by the identity of its node
 
     def of(node: Tree, part: Columns) -> Any:
         if not isinstance(node, tuple):
@@ -108,7 +108,7 @@ def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
 
     def evaluate(part: Columns) -> Floats:
         many = next(iter(part.values())).shape
-        with np.errstate(all="ignore"):  # what is not finite is found where it is used
+        with np.errstate(all="ignore"):  # users of the result check that it is finite
             return np.broadcast_to(np.asarray(of(tree, part), float), many)
 
     return evaluate

@@ -1,6 +1,6 @@
-"""Inputs and truth as one table each, from several topics: rows of all in the order of their times.
+"""Inputs and truth as one table each, merged from several topics in order of time.
 
-An input that a row does not give keeps its value, and is 0 before its first. A state that a row does not give is NaN there.
+An input without a value in a row is held, and is 0 before its first value. A state without a value in a row is NaN.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,13 +16,13 @@ from pcbench.recordings.times import require_forward
 if TYPE_CHECKING:
     import pandas as pd
 
-Times = Callable[[Columns, Ints], Floats]  # of the rows of a part, by their numbers from 1
+Times = Callable[[Columns, Ints], Floats]  # (columns of a part, row numbers from 1) -> times
 
 
 def table_of(
     columns: Callable[[], Iterator[Columns]], times: Times, quantities: Mapping[str, Quantity], where: str
 ) -> Table:
-    """Return the table of what `columns` reads; rows in which nothing is given are left out."""
+    """Return the table of the quantities in `columns`; rows without any value are left out."""
 
     def read() -> Iterator[Rows]:
         row, before = 1, -np.inf
@@ -48,14 +48,14 @@ def table_of(
 
 
 def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
-    """Return several tables as one, with columns in this `order`; what a row does not give is held, or NaN."""
+    """Return several tables merged, with columns in this `order`; missing values are held or NaN."""
 
     def read() -> Iterator[Rows]:
         import pandas as pd
 
         carry = pd.Series(0.0, list(order))
         for rows in _in_order([_frames(each) for each in tables]):
-            found = rows.groupby(level=0).last()  # of several rows at one time: the last that gives a value
+            found = rows.groupby(level=0).last()  # of several rows at one time, the last value
             values = found.reindex(columns=list(order))
             if hold:
                 values = values.ffill().fillna(carry)
@@ -73,7 +73,7 @@ def _frames(table: Table) -> Iterator["pd.DataFrame"]:
 
 
 def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame"]:
-    """Yield rows of several tables, each with times that rise, in parts whose times rise."""
+    """Yield rows of several tables, each with increasing times, merged in order of time."""
     import pandas as pd
 
     waiting = [next(reader, None) for reader in readers]

@@ -1,13 +1,13 @@
-"""By how much one channel of a recording lags behind another, from the cross-correlation of their rates of change.
+"""Lag between channels of a recording, from the cross-correlation of their rates of change.
 
-    r(t) = change of a channel's value over the interval around t, over its length; on a common grid
-    c(L) = sum r_a(t) r_b(t + L) / root of sum r_a(t)^2 sum r_b(t + L)^2,   lag: where |c| is largest (parabola between steps)
+    r(t) = change of a channel's value over the interval around t, divided by its length; on a common grid
+    c(L) = sum r_a(t) r_b(t + L) / root of sum r_a(t)^2 sum r_b(t + L)^2,   lag: maximum of |c| (parabola between steps)
 
-A lag is positive if the second channel is later. Channels are compared as they are stamped, the faster one averaged over an
-interval of the slower one. Two channels that measure one motion have rates that are alike, up to a factor. Of others |c| stays
-small, and nothing is said. The interval leaves out one of BLOCKS parts of the recording at a time (jackknife).
-Not claimed: a lag of channels that measure different things, such as a position and a velocity.
-Source: Efron, Tibshirani, An introduction to the bootstrap, 1993, chapter 11.
+A lag is positive if the second channel is later. Channels are compared at their timestamps, the faster one averaged over an
+interval of the slower one. Two channels that measure the same motion have proportional rates. For other channels |c| is small,
+and no lag is reported. The interval leaves out one of BLOCKS parts of the recording at a time (jackknife). Not claimed: a lag
+between channels that measure different quantities, such as a position and a velocity. Source: Efron, Tibshirani, An
+introduction to the bootstrap, 1993, chapter 11.
 """
 
 from itertools import combinations
@@ -17,27 +17,27 @@ import numpy as np
 
 from pcbench.recordings.log import Floats, Ints, Log
 
-MOST = 1 << 17  # samples of a channel that are compared
+MOST = 1 << 17  # largest number of samples per channel
 BLOCKS = 10
-RANGE = 10.0  # intervals of the slower channel, that a lag may have
-STEPS = 1 << 16  # of the grid, at most
+RANGE = 10.0  # largest lag, in intervals of the slower channel
+STEPS = 1 << 16  # largest number of grid points
 T9 = 2.2621571627409915  # 97.5 % quantile of Student's t with BLOCKS - 1 degrees of freedom
-ALIKE = 0.5  # |c| from where on two channels are said to be alike
+ALIKE = 0.5  # |c| from which two channels count as similar
 
 
 class Lag(NamedTuple):
-    """How two channels of a recording are shifted [s]."""
+    """The lag between two channels of a recording [s]."""
 
     first: str
     second: str
     lag: float  # positive: the second is later
     low: float  # 95 % interval
     high: float
-    correlation: float  # of the rates at that lag
+    correlation: float  # of the rates at this lag
 
 
 def lags_of(log: Log) -> list[Lag]:
-    """Return the lag of each two channels whose rates are alike."""
+    """Return the lag of each pair of channels with similar rates."""
     parts: list[list[Floats]] = [[] for _ in log.channels]
     counts = np.zeros(len(log.channels), int)
     for batch in log.measurements():
@@ -56,7 +56,7 @@ def lags_of(log: Log) -> list[Lag]:
 
 
 def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
-    """The lag of two channels, each in rows of stamp and value; None where they have nothing in common."""
+    """Return the lag of two channels, each in rows of timestamp and value; None if they are not similar."""
     if min(len(a), len(b)) < 4 * BLOCKS:
         return None
     a, b = (each[np.unique(each[:, 0], return_index=True)[1]] for each in (a, b))
@@ -87,7 +87,7 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
 
 
 def _smooth(series: Floats, slow: float) -> Floats:
-    """A channel averaged over the interval of the slower one, so that both have the same bandwidth."""
+    """Return a channel averaged over the interval of the slower one, so that both have the same bandwidth."""
     every = max(round(slow / float(np.median(np.diff(series[:, 0])))), 1)
     if every == 1:
         return series
@@ -96,7 +96,7 @@ def _smooth(series: Floats, slow: float) -> Floats:
 
 
 def _peak(sums: Floats, shifts: Ints) -> tuple[float, float]:
-    """Where the correlation is largest in size, in steps, and how large."""
+    """Return the position of the largest |correlation| in steps, and its size."""
     with np.errstate(invalid="ignore", divide="ignore"):
         c = np.nan_to_num(sums[:, 0] / np.sqrt(sums[:, 1] * sums[:, 2]))
     i = int(np.argmax(np.abs(c)))

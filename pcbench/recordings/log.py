@@ -1,8 +1,8 @@
-"""A log: what was measured and when it arrived, what was put in, and where it is known what was true; and its sources.
+"""A recording (log): measurements with arrival times, inputs, and truth if known; and its sources.
 
-Measurements are rows (channel, sampled [s], arrived [s], value), inputs and truth rows (t [s], values). A log is read a part
-at a time, as often as it is asked for, so it may be longer than memory. Rows may be in any order: how far behind the newest
-stamp one may come is found by reading it once (`survey`). Times are seconds of the log's own clock.
+Measurements are rows (channel, sampled [s], arrived [s], value), inputs and truth rows (t [s], values). A log is read in parts
+and can be read repeatedly, so it may be larger than memory. Rows may be in any order. One pass (`survey`) finds how far behind
+the newest timestamp a row may come. Times are seconds of the log's own clock.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,24 +18,26 @@ from pcbench.recordings.csv_dialects import FOUND, CsvOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Columns = dict[str, Floats]  # fields of a file by their names, [K] each, times in seconds
+Columns = dict[str, Floats]  # fields of a file by name, [K] each, times in seconds
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-MOST = 2000  # fields of a topic that are looked at
-NO_TIME = " of times (write sampled = NAME, or period = SECONDS if the file has none)"  # in a sentence on a field
+MOST = 2000  # largest number of examined fields of a topic
+NO_TIME = (
+    " of times (write sampled = NAME, or period = SECONDS if the file has none)"  # end of an error message on a field
+)
 
 
 class Batch(NamedTuple):
-    """K samples, in the order in which they stand in the log."""
+    """K samples, in the order of the log."""
 
-    channel: Ints  # [K] which of the log's channels
+    channel: Ints  # [K] index of the channel
     sampled: Floats  # [K] s
-    arrived: Floats  # [K] s; NaN: it never arrived
+    arrived: Floats  # [K] s; NaN: did not arrive
     value: Floats  # [K]
-    row: Ints  # [K] where it stands: the row of its table or the message of its topic, from 1
-    std: Floats = np.zeros(0)  # [K] standard deviation of the value's noise, NaN: none is stated; [0]: of no value
+    row: Ints  # [K] row of its table or message of its topic, from 1
+    std: Floats = np.zeros(0)  # [K] standard deviation of the noise, NaN: not stated; [0]: stated for none
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Batch":
-        """Return some of the samples: those that are true, or those at these places."""
+        """Return some of the samples, by a mask or by indices."""
         std = self.std[rows] if len(self.std) else self.std
         return Batch(self.channel[rows], self.sampled[rows], self.arrived[rows], self.value[rows], self.row[rows], std)
 
@@ -56,9 +58,9 @@ class Table(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A log that can be read, again and again."""
+    """A log that can be read repeatedly."""
 
-    name: str  # as a sentence names it
+    name: str  # as in messages
     channels: tuple[str, ...]
     measurements: Callable[[], Iterator[Batch]]
     inputs: Table | None = None
@@ -67,40 +69,40 @@ class Log(NamedTuple):
 
 
 class Source(NamedTuple):
-    """Fields of one topic, and where they are. A module of a format has `columns`, which yields them a part at a time."""
+    """Fields of one topic in a file. The module of a format has `columns`, which yields them in parts."""
 
     path: Path
     topic: str
     fields: list[str]
-    times: set[str]  # those of the fields that are times
-    unit: str | None  # of times that are plain numbers; None: as the format has it
-    where: str  # as a sentence names what asks for them
-    topics: set[str]  # all that will be asked for of this file
-    loaded: dict[str, Any]  # what the first source of a log has read or checked, for all of them
+    times: set[str]  # the fields that are times
+    unit: str | None  # of times that are numbers; None: the default of the format
+    where: str  # place of the request, for messages
+    topics: set[str]  # all topics requested from this file
+    loaded: dict[str, Any]  # data of the file that sources share
     csv: CsvOptions = FOUND
-    frame: str = ""  # of messages that hold transforms: the child frame of those that are meant
-    defaulted: bool = False  # the field of stamps is nobody's choice: a message without it counts when it was received
+    frame: str = ""  # child frame of the requested transforms, in messages with several
+    defaulted: bool = False  # the timestamp field is a default: a message without it has its receive time
 
     @property
     def place(self) -> str:
-        """What asks and the file, as a sentence names them."""
+        """The request and the file, for messages."""
         return self.where if self.where == self.path.name else f"{self.where}: {self.path.name}"
 
 
 class Topic(NamedTuple):
-    """What a file has under one name. A module of a format has `topics`, which yields them."""
+    """A topic of a file. The module of a format has `topics`, which yields them."""
 
     name: str
     kind: str
     numbers: list[str]
-    times: Sequence[str] = ()  # fields that are times by their type, the first one the stamp
+    times: Sequence[str] = ()  # fields with a time type, the first one the timestamp
     frame: str = ""
     words: Sequence[str] = ()  # fields of text
-    problem: str = ""  # why some of its fields are left out
+    problem: str = ""  # reason why some of its fields are left out
 
 
 def shift_stamps(log: Log, offsets: Floats) -> Log:
-    """Return a log with `offsets` [q] s added to the stamps of its channels; arrivals stay as they are."""
+    """Return a log with `offsets` [q] s added to the timestamps of its channels; arrival times are unchanged."""
 
     def measurements() -> Iterator[Batch]:
         return (b._replace(sampled=b.sampled + offsets[b.channel]) for b in log.measurements())
@@ -110,12 +112,12 @@ def shift_stamps(log: Log, offsets: Floats) -> Log:
 
 @contextmanager
 def reading(source: Source, expected: str) -> Iterator[None]:
-    """Turn whatever a library raises of a damaged file into a UserError that says what was `expected`."""
+    """Convert any exception of a library on a damaged file into a UserError with what was `expected`."""
     try:
         yield
     except (UserError, ImportError):
         raise
-    except Exception as error:  # libraries raise struct.error, zlib.error, TypeError and what is their own
+    except Exception as error:  # libraries raise struct.error, zlib.error, TypeError and their own errors
         raise unreadable(error, source.place, expected) from None
 
 

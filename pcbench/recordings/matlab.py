@@ -1,9 +1,9 @@
-"""MATLAB files: vectors of one length, columns of matrices and fields of structs, read by SciPy, those of format 7.3 by h5py.
+"""MATLAB files: vectors of equal length, columns of matrices and fields of structs; read by SciPy, format 7.3 by h5py.
 
-`topic` names a struct, or is left out. A field may be within a struct (`signals.values`) or one of the signals of a matrix,
-from 0 (`dat.2`): signals are its columns, or its rows if these are longer. A file is read as a whole, for its readers have no
-other way: once, however many channels and passes there are, and of its variables only those that are asked for are held. Of
-format 7.3, nothing is followed that is in another file.
+`topic` names a struct, or is omitted. A field may be inside a struct (`signals.values`) or one of the signals of a matrix, from
+0 (`dat.2`). Signals are the columns of a matrix, or its rows if these are longer. The readers can only read a file as a whole.
+It is read once for all channels and passes, and only requested variables are kept. In format 7.3, links to other files are not
+followed.
 """
 
 from collections import Counter
@@ -20,8 +20,8 @@ from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Columns, Source, Topi
 if TYPE_CHECKING:
     import h5py
 
-NEWER = b"\x89HDF\r\n\x1a\n"  # how HDF5 begins, at byte 0 or 512
-DEEPEST = 32  # structs inside one another
+NEWER = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5, at byte 0 or 512
+DEEPEST = 32  # largest nesting of structs
 KINDS = {"U": "text", "S": "text", "c": "complex numbers"}
 
 
@@ -62,7 +62,7 @@ def signals_of(matrix: np.ndarray) -> list[np.ndarray]:
 
 
 def topics(source: Source) -> Iterator[Topic]:
-    """Yield the structs, and the variables in none; of each those vectors of numbers whose length most have."""
+    """Yield the structs, and the variables outside structs; of each the vectors of numbers with the most common length."""
 
     def vectors(struct: Any, prefix: str) -> Iterator[tuple[str, int]]:
         for name, value in struct.items() if isinstance(struct, dict) else enumerate(struct):
@@ -84,7 +84,7 @@ def topics(source: Source) -> Iterator[Topic]:
 
 
 def _within(struct: Any, field: str, source: Source) -> Any:
-    """The value that a dotted name means in structs, lists of structs and matrices."""
+    """Return the value of a dotted name in structs, lists of structs and matrices."""
     value = struct
     for part in field.split("."):
         if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiub":

@@ -1,4 +1,4 @@
-"""MCAP files, read by mcap: messages as JSON, or of ROS 2 where mcap-ros2-support is installed too."""
+"""MCAP files, read by mcap: messages as JSON, or of ROS 2 if mcap-ros2-support is installed."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def topics(source: Source) -> Iterator[Topic]:
-    """Yield the topics, each by its first message; one of another encoding has no fields."""
+    """Yield the topics, each by its first message; one with an unsupported encoding has no fields."""
     with _opened(source) as reader:
         summary = reader.get_summary()
         schemas, channels = (summary.schemas, summary.channels) if summary else ({}, {})
@@ -37,7 +37,7 @@ def columns(source: Source) -> Iterator[Columns]:
         summary = reader.get_summary()
         if summary is not None:
             require_topic(source.topic, {each.topic for each in summary.channels.values()}, source.where)
-        # in the order of their times; without an index as they were written, for to sort them all would be held
+        # in order of time; without an index in file order, as sorting would hold all messages in memory
         indexed = summary is not None and bool(summary.chunk_indexes)
         raw = reader.iter_messages(topics=[source.topic], log_time_order=indexed)
         yield from messages.columns(_decode(raw, source.where), source)
@@ -45,7 +45,7 @@ def columns(source: Source) -> Iterator[Columns]:
 
 @contextmanager
 def _opened(source: Source) -> Iterator["McapReader"]:
-    """The reader of a file; whatever it raises is a UserError."""
+    """Yield the reader of a file; its exceptions become UserErrors."""
     from mcap.reader import make_reader
 
     with reading(source, "a whole MCAP file; repair it with mcap recover"):
@@ -53,7 +53,7 @@ def _opened(source: Source) -> Iterator["McapReader"]:
             require_small_mcap(source.path, source.place)
             source.loaded["is small"] = True
         with source.path.open("rb") as file:
-            yield make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
+            yield make_reader(file, validate_crcs=True)  # without CRC validation damaged data is skipped silently
 
 
 def _decode(raw: Iterable["tuple[Schema | None, Channel, Message]"], where: str) -> Iterator[tuple[int, object]]:

@@ -1,4 +1,4 @@
-"""Fields of messages, one after the other: of bags and MCAP, whose readers hand out objects or dictionaries."""
+"""Fields of messages in bags and MCAP files, whose readers return objects or dictionaries."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -9,15 +9,15 @@ import numpy as np
 from pcbench.errors import UserError, unknown
 from pcbench.recordings.log import MOST, SECONDS, Columns, Source, Topic
 
-MANY, FRAMES = 1 << 14, 100  # messages of a part, frames of a topic that are listed
-SHORT = 9  # places of a list that are fields each, such as those of a covariance of three numbers
-RECEIVED = "received"  # instead of a field: when the recorder got the message
-STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a stamp in ROS 2, MCAP's schemas, ROS 1
-NONE = object()  # instead of a field that is not there
+MANY, FRAMES = 1 << 14, 100  # messages per part, listed frames per topic
+SHORT = 9  # largest list whose entries are separate fields, such as a covariance of three numbers
+RECEIVED = "received"  # pseudo-field: the receive time of the message
+STAMP = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # parts of a timestamp in ROS 2, MCAP schemas, ROS 1
+NONE = object()  # marks a missing field
 
 
 def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[Columns]:
-    """Yield parts of the fields of messages (received [ns], message); times in seconds, plain ones in the source's unit."""
+    """Yield parts of the fields of messages (received [ns], message); times in seconds, numbers in the source's time unit."""
     rows: list[list[float]] = []
     for number, (received, message) in enumerate(_of_frame(messages, source) if source.frame else messages, 1):
         rows.append([_number(received, message, field, source, number) for field in source.fields])
@@ -29,7 +29,7 @@ def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[
 
 
 def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> Iterator[Topic]:
-    """Yield what one topic has by its first message; of transforms every frame."""
+    """Yield the topic with the fields of its first message; for transforms one topic per frame."""
     frames: dict[str, None] = {}
     for _, message in messages:
         transforms = _member(message, "transforms")
@@ -48,7 +48,7 @@ def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> It
 
 
 def _leaves(message: object, prefix: str = "", depth: int = 8) -> tuple[list[str], list[str]]:
-    """The fields within a message that are numbers, and those that are times; of long lists none."""
+    """Return the fields of a message that are numbers, and those that are times; long lists are left out."""
     numbers, times = [], []
     for name in _names(message):
         value, path = _member(message, name), f"{prefix}{name}"
@@ -70,7 +70,7 @@ def _names(value: object) -> list[str]:
 
 
 def _of_frame(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[tuple[int, object]]:
-    """The transforms to one child frame, of messages that hold some each."""
+    """Yield the transforms to one child frame, from messages with several."""
     frames: set[str] = set()
     for received, message in messages:
         transforms = _member(message, "transforms")
@@ -102,7 +102,7 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
             stamp = [_member(value, name) for name in pair]
             if all(each is not NONE for each in stamp):
                 return _seconds(*stamp)
-    if value is None:  # as JSON has it where nothing was measured
+    if value is None:  # null in JSON: not measured
         return math.nan
     try:
         return float(value) * (SECONDS[source.unit or "s"] if field in source.times else 1.0)
@@ -113,7 +113,7 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
 
 
 def _seconds(whole: float, ns: float) -> float:
-    """A stamp [s], rounded alike wherever it is from: what was received when it was stamped came no earlier."""
+    """Return a timestamp [s] with consistent rounding: a message received at its timestamp must not arrive earlier."""
     return float(whole) + 1e-9 * float(ns)
 
 

@@ -49,7 +49,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Column(BaseModel):
-    """What says where a channel, an input or a state is."""
+    """Location of a channel, an input or a state in a file."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     field: str | None = None
@@ -71,7 +71,7 @@ class Column(BaseModel):
 
 
 class Mapping(BaseModel):
-    """All of the TOML."""
+    """The keys of a TOML that maps fields."""
 
     model_config = ConfigDict(extra="forbid")
     log: str
@@ -87,8 +87,8 @@ class Format(NamedTuple):
     """How one kind of file is read."""
 
     columns: Callable[[Source], Iterator[Columns]]
-    stamp: str  # the field of stamps, where none is named
-    arrived: str | None  # and of arrivals
+    stamp: str  # default field of timestamps
+    arrived: str | None  # default field of arrival times
 
 
 BAG = Format(rosbag.columns, "header.stamp", RECEIVED)
@@ -107,7 +107,7 @@ FORMATS = {
 
 
 def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Log:
-    """Return the log of a name, or of frames in memory; raise UserError where there is none, or it needs a TOML."""
+    """Return the log of a name, or of frames in memory; raise UserError if it does not exist or needs a TOML."""
     if delay is not None and not delay >= 0:
         raise UserError(f"--delay: got {delay:g}, expected 0 s or more; write how late samples arrive.")
     if not isinstance(name, str | Path):
@@ -126,7 +126,7 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
 
 
 def open_toml(path: Path, delay: float | None = None) -> Log:
-    """Return the log that a TOML describes; raise UserError naming the key that is wrong."""
+    """Return the log that a TOML describes; raise UserError with the invalid key."""
     raw = _parse(path)
     if isinstance(named := raw.get("log"), str) and not (path.parent / named).exists():
         raise UserError(f"{path.name}: log: got {named}, expected a file or folder next to it; correct the name.")
@@ -157,7 +157,7 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
 
 
 def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
-    """Raise UserError where a period has no effect, or some rows of a table have a period and others a column of times."""
+    """Raise UserError if a period has no effect, or if a table mixes a period with a column of times."""
     each = {f"{what}.{name}": c for what in ("channels", "inputs", "truth") for name, c in getattr(toml, what).items()}
     own = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
     if toml.period and all(own):
@@ -234,21 +234,21 @@ def _keys(model: type[BaseModel], above: list[int | str]) -> Iterable[str]:
 
 
 def _maps_fields(raw: TomlTable) -> bool:
-    """Whether channels of a TOML say in which field they are."""
+    """Return whether a TOML maps fields to channels."""
     channels = raw.get("channels")
     each = channels.values() if isinstance(channels, dict) else ()
     return any(isinstance(c, dict) and c.keys() & {"field", "formula"} for c in each)
 
 
 def has_tables(file: Path) -> bool:
-    """Say whether a file or folder has tables, with the names of channels in them."""
+    """Return whether a file or folder has tables with channel names in them."""
     if file.is_dir():
         return any((file / f"measurements{kind}").is_file() for kind in tables.KINDS)
     return tables.has_channels(file)
 
 
 def _open_corrected(path: Path, toml: TablesToml, delay: float | None) -> Log:
-    """Tables with the corrections of a TOML; `delay` [s] is that of channels without one."""
+    """Return tables with the corrections of a TOML; `delay` [s] is that of channels without one."""
     file, late = path.parent / toml.log, not tables.has_arrivals(path.parent / toml.log)
     log = tables.open_tables(file, 0.0 if late else delay)
     if late and delay is not None:
@@ -261,7 +261,7 @@ def _open_corrected(path: Path, toml: TablesToml, delay: float | None) -> Log:
 def _channel(
     c: Column, kind: Format, source: Source, index: int, name: str, delay: float | None
 ) -> Callable[[], Iterator[Batch]]:
-    """What reads a channel; `delay` [s] or its own replaces arrivals."""
+    """Return a function that reads a channel; `delay` [s] or its own replaces arrival times."""
     where, late = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
     stamp, times = _stamps(c, c.sampled, kind, where)
     arrived = c.arrived or (None if late is not None or c.period else kind.arrived)
@@ -290,10 +290,10 @@ def _channel(
             row += many
             sampled = times(part, rows) + c.clock_offset
             came = part[arrived] if arrived else sampled + (late or 0.0)
-            if spread:  # what is empty or below 0 becomes 0, which `require_sound` refuses
+            if spread:  # empty or negative values become 0, which `require_sound` refuses
                 std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
                 std = abs(c.scale) * (std if c.std else np.sqrt(std))
-            exists = ~np.isnan(values)  # where there is no value, nothing was measured
+            exists = ~np.isnan(values)  # without a value, nothing was measured
             if c.only_changes:
                 exists[exists] = changes(values[exists])
             if exists.any():
@@ -303,7 +303,7 @@ def _channel(
 
 
 def _stamps(c: Column, field: str | None, kind: Format, where: str) -> tuple[str | None, Times]:
-    """The field of stamps, if there is one, and the stamps [s] of rows."""
+    """Return the field of timestamps, if there is one, and a function for the timestamps [s] of rows."""
     if field and c.period:
         raise UserError(f"{where}: got a field of times and a period, expected one of them; leave one out.")
     if (period := c.period) is not None:
@@ -313,7 +313,7 @@ def _stamps(c: Column, field: str | None, kind: Format, where: str) -> tuple[str
 
 
 def _table(given: dict[str, Column], kind: Format, source: Source, what: str) -> Table | None:
-    """Inputs or truth, of one topic or several; those of one topic with one time are read together."""
+    """Return inputs or truth from one topic or several; those of one topic with one time are read together."""
     if not given:
         return None
     groups: dict[tuple[object, ...], dict[str, Column]] = {}

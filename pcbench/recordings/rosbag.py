@@ -32,7 +32,7 @@ def columns(source: Source) -> Iterator[Columns]:
 
 @contextmanager
 def _opened(source: Source) -> Iterator["AnyReader"]:
-    """The reader of a bag; whatever it raises is a UserError."""
+    """Yield the reader of a bag; its exceptions become UserErrors."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 

@@ -1,4 +1,4 @@
-"""Numbers that come a part at a time: how many, their mean and range exactly, their distribution from an even selection."""
+"""Running statistics: count, mean and range exactly, the distribution from an evenly thinned selection."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from pcbench.recordings.log import Floats, Ints
 
-KEPT = 1 << 14  # of a selection: every number until there are more, then every second, every fourth ...
+KEPT = 1 << 14  # largest selection: every number, then every second, every fourth ...
 
 
 class Spread(NamedTuple):
-    """What is known of some numbers, each of which came with a mark beside it."""
+    """Statistics of numbers, each with a mark such as its row."""
 
     many: int = 0
     total: float = 0.0
     least: float = np.inf
-    least_mark: float = np.nan  # of the first such number
+    least_mark: float = np.nan  # of the first smallest number
     most: float = -np.inf
     most_mark: float = np.nan
     every: int = 1
@@ -23,27 +23,27 @@ class Spread(NamedTuple):
 
     @property
     def mean(self) -> float:
-        """The mean, NaN of none."""
+        """Mean; NaN if empty."""
         return self.total / self.many if self.many else np.nan
 
     def quantiles(self, *shares: float) -> list[float]:
-        """Return quantiles of the selection, NaN of none."""
+        """Return quantiles of the selection; NaN if empty."""
         values = np.quantile(self.kept[:, 1], shares) if self.many else np.full(len(shares), np.nan)
         return [float(each) for each in values]
 
     @property
     def first_mark(self) -> int | None:
-        """The mark of the first number, if that is a row; None of none."""
+        """Row of the first number; None if empty."""
         return int(self.kept[0, 0]) if self.many else None
 
     @property
     def median(self) -> float:
-        """The median of the selection."""
+        """Median of the selection."""
         return self.quantiles(0.5)[0]
 
 
 def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
-    """Return what is known with some numbers more; NaN is no number."""
+    """Return the statistics after further numbers; NaN is ignored."""
     exists = np.isfinite(numbers)
     marks, numbers = marks[exists], numbers[exists]
     if not numbers.size:
@@ -64,15 +64,15 @@ def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
 
 
 def largest(before: Floats, sizes: Floats, *marks: Floats | Ints) -> Floats:
-    """Return the hundred rows (size, *marks) with the largest sizes of those before and some more."""
+    """Return the hundred rows (size, *marks) with the largest sizes, of those before and further ones."""
     every = np.concatenate([before, np.stack([sizes, *marks], 1)])
     return every[np.argsort(-every[:, 0], kind="stable")[:100]]
 
 
 def slope(sums: Floats) -> tuple[float, float]:
-    """Return the slope of the line that fits points (x, y) best, and its standard error as if residuals were independent.
+    """Return the slope of a least-squares line through points (x, y), and its standard error for independent residuals.
 
-    Both are NaN of fewer than three points. `sums` are those of 1, x, y, x x, x y, y y.
+    Both are NaN for fewer than three points. `sums` are those of 1, x, y, x x, x y, y y.
     """
     many, x, y, xx, xy, yy = sums.tolist()
     if many < 3 or (xx := xx - x**2 / many) <= 0:

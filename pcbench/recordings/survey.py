@@ -1,12 +1,14 @@
-"""What is in a log, found by reading it once: of every channel its rate, gaps and delays, and what is odd about its stamps.
+"""Survey a recording in one pass: rate, gaps, delays and irregular timestamps of every channel.
 
-Intervals are between successive stamps of a channel. A *gap* is an interval of more than five medians. A delay is arrival less
-stamp; it *jumps* where it differs from the one before by more than ten times the middle half of all delays and half an
-interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis clock_skew:
-minus the slope of the line through all delays.
-A sample is *out of order* where one with a later stamp is before it, *doubled* where its stamp is there twice. Its value is
-*repeated* if that of the row before is the same.
-Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
+- Intervals are between successive timestamps of a channel. A *gap* is an interval of more than five medians.
+- A delay is arrival minus timestamp. It *jumps* if it differs from the previous one by more than ten times the interquartile
+  range of all delays plus half an interval.
+- The *drift* is the rate by which the clock of the timestamps is fast relative to that of the arrivals, as in the axis
+  clock_skew: minus the slope of the line through all delays.
+- A sample is *out of order* if one with a later timestamp precedes it, *doubled* if its timestamp occurs twice.
+- A value is *repeated* if it equals that of the row before.
+
+Timestamps are compared within a part of the recording, some 65,000 rows, and with the newest of the previous part.
 """
 
 from collections.abc import Iterator
@@ -27,64 +29,64 @@ if TYPE_CHECKING:
 
     from pcbench.recordings.tables import Frames
 
-GAP = 5.0  # medians of an interval
-JUMP = 10.0  # middle halves of the delays
-HELD = 0.2  # of the values of a channel: if more are repeated, it is said
+GAP = 5.0  # in medians of an interval
+JUMP = 10.0  # in interquartile ranges of the delays
+HELD = 0.2  # share of repeated values above which this is reported
 
 
 class Channel(NamedTuple):
-    """What is known of one channel, with rows of the log. Tops are (size, time [s], row), the largest first."""
+    """Statistics of one channel, with rows of the log. Tops are (size, time [s], row), the largest first."""
 
     stamps: Spread = Spread()  # [s] by row
     arrivals: Spread = Spread()  # [s] by row
-    intervals: Spread = Spread()  # by stamp
-    delays: Spread = Spread()  # by stamp
-    out_of_order: Spread = Spread()  # stamps by row
-    doubled: Spread = Spread()  # stamps by row
-    last_delay: float = np.nan  # that of the sample before
+    intervals: Spread = Spread()  # by timestamp
+    delays: Spread = Spread()  # by timestamp
+    out_of_order: Spread = Spread()  # timestamps by row
+    doubled: Spread = Spread()  # timestamps by row
+    last_delay: float = np.nan  # delay of the previous sample
     drift: Floats = np.zeros(6)  # sums for a line
     longest: Floats = np.zeros((0, 3))  # intervals
-    steps: Floats = np.zeros((0, 3))  # the largest changes from one delay to the next
+    steps: Floats = np.zeros((0, 3))  # largest changes from one delay to the next
     values: Spread = Spread()  # by row
     repeated: int = 0
-    last_value: float = np.nan  # that of the row before
-    stds: int = 0  # samples with a standard deviation of their own
-    without_std: int | None = None  # row of the first one that has none
+    last_value: float = np.nan  # value of the previous row
+    stds: int = 0  # samples with a stated standard deviation
+    without_std: int | None = None  # first row without one
 
     @property
     def constant(self) -> bool:
-        """Whether all its values are one."""
+        """Whether all its values are equal."""
         return self.values.many > 1 and self.values.least == self.values.most
 
     def gaps(self) -> Floats:
-        """Return the gaps, a hundred at most: (length [s], stamp at their end [s], row)."""
+        """Return the gaps, at most a hundred: (length [s], timestamp at their end [s], row)."""
         return self.longest[self.longest[:, 0] > GAP * self.intervals.median]
 
     def jumps(self) -> Floats:
-        """Return where the delay jumps, a hundred at most: (by how much [s], stamp [s], row)."""
+        """Return the jumps of the delay, at most a hundred: (size [s], timestamp [s], row)."""
         low, high = self.delays.quantiles(0.25, 0.75)
         limit = max(JUMP * (high - low), 0.5 * self.intervals.median) if self.intervals.many else np.inf
         return self.steps[self.steps[:, 0] > limit]
 
 
 class Survey(NamedTuple):
-    """What is known of a log."""
+    """Statistics of a recording."""
 
     channels: dict[str, Channel]
     rows: int
-    start: float  # [s] the earliest stamp
-    end: float  # [s] the latest stamp or arrival
-    behind: float  # [s] how far behind the latest stamp before it a row's may be
-    grid: Floats  # [K] s, some of the stamps and arrivals, less the start
-    tables: dict[str, Spread]  # the times of inputs and truth, of those that the log has
+    start: float  # [s] earliest timestamp
+    end: float  # [s] latest timestamp or arrival
+    behind: float  # [s] how far a row's timestamp may be behind an earlier row's
+    grid: Floats  # [K] s, some of the timestamps and arrivals, minus the start
+    tables: dict[str, Spread]  # times of inputs and truth, if recorded
 
     def with_std(self) -> list[str]:
-        """Return the channels whose samples have standard deviations of their own."""
+        """Return the channels whose samples have stated standard deviations."""
         return [name for name, c in self.channels.items() if c.stds]
 
 
 def survey(log: Log) -> Survey:
-    """Read a log once; raise UserError for a row that no run can be fed with, and for times of two clocks."""
+    """Read a log once; raise UserError for an invalid row, and for times of two clocks."""
     every = [Channel() for _ in log.channels]
     behind, newest, grid = 0.0, -np.inf, Spread()
     for batch in log.measurements():
@@ -134,7 +136,7 @@ def survey(log: Log) -> Survey:
 
 
 def _more(c: Channel, batch: Batch) -> Channel:
-    """What is known of a channel with some samples more."""
+    """Return the statistics of a channel after further samples."""
     came, order = ~np.isnan(batch.arrived), np.argsort(batch.sampled, kind="stable")
     at, delay = batch.sampled[came], (batch.arrived - batch.sampled)[came]
     stamps, rows, newest = batch.sampled[order], batch.row[order], c.stamps.most
@@ -144,7 +146,7 @@ def _more(c: Channel, batch: Batch) -> Channel:
     change = np.abs(np.diff(delay, prepend=c.last_delay))
     changed = np.isfinite(change)
     seen, measured = add(c.stamps, batch.row, batch.sampled), batch.value[~np.isnan(batch.value)]
-    x = at - seen.kept[0, 1]  # since the first stamp
+    x = at - seen.kept[0, 1]  # since the first timestamp
     stated = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
     without = None if stated.all() else int(batch.row[np.argmin(stated)])
     sums = [x.size, x.sum(), delay.sum(), (x * x).sum(), (x * delay).sum(), (delay * delay).sum()]
@@ -168,10 +170,10 @@ def _more(c: Channel, batch: Batch) -> Channel:
 
 
 def limit_truth(log: Log, known: Survey, signals: list[str]) -> tuple[Log, Survey, list[str]]:
-    """Return a log with truth only where there are measurements, and what is left out, a sentence each.
+    """Return a log with truth only where there are measurements, and a sentence on each omission.
 
     Truth may begin and end five sampling periods of the slowest channel outside them.
-    Raises UserError where no truth is left.
+    Raises UserError if no truth is left.
     """
     if log.truth is None:
         return log, known, []
@@ -208,7 +210,7 @@ def limit_truth(log: Log, known: Survey, signals: list[str]) -> tuple[Log, Surve
 
 
 def require_units(log: Log, expected: list[str]) -> None:
-    """Raise UserError where a recording says another unit of a channel than the plant; 1 and empty are unknown units."""
+    """Raise UserError if a recording and the plant have different units of a channel; 1 and empty are unknown units."""
     for name, unit, own in zip(log.channels, log.units, expected, strict=False):
         if unit not in ("", "1", own) and own not in ("", "1"):
             raise UserError(
@@ -218,7 +220,7 @@ def require_units(log: Log, expected: list[str]) -> None:
 
 
 def held_values(log: Survey) -> list[str]:
-    """Return a sentence for each channel whose value never changes, or often is the one before."""
+    """Return a sentence for each channel whose value never changes, or is often repeated."""
     out = []
     for name, c in log.channels.items():
         if c.constant:
@@ -232,7 +234,7 @@ def held_values(log: Survey) -> list[str]:
 
 
 def channel_rows(log: Survey) -> list[dict[str, object]]:
-    """Return what `pcbench info` says of every channel, times in seconds, ready for JSON: NaN is None."""
+    """Return the rows of `pcbench info`, one per channel, times in seconds, ready for JSON: NaN is None."""
     return [
         {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in _row(name, c).items()}
         for name, c in log.channels.items()

@@ -32,17 +32,17 @@ from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Batch, Columns, Float
 if TYPE_CHECKING:
     import pandas as pd
 
-Frames = Mapping[str, "pd.DataFrame"]  # measurements, and inputs and truth if there are any
+Frames = Mapping[str, "pd.DataFrame"]  # measurements, and optionally inputs and truth
 KINDS = (".parquet", ".csv")
 NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
 TIMES = (pa.types.is_timestamp, pa.types.is_time, pa.types.is_duration)
-NULLS = [*csv.ConvertOptions().null_values, "-", "None", "none"]  # cells in which there is nothing
+NULLS = [*csv.ConvertOptions().null_values, "-", "None", "none"]  # cells that count as empty
 HEAD = re.compile(r"^\s*(.*?)\s*(?:\[((?!/)[^\[\]]*)\]|\(([^()]*)\))?\s*$")
-LATEST = 1e11  # [s] what is said to be seconds is below it: the year 5138
+LATEST = 1e11  # [s] times in seconds are below it: the year 5138
 HALF_DAY = 43_200 * 10**9  # [ns]
 MANY = 1 << 16  # rows of a part
 BLOCK = 1 << 20  # bytes of a part of a CSV file
-READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
+READ = 1 << 18  # bytes of a Parquet column that are read at once
 COLUMNS = ("channel", "sampled", "value")
 
 
@@ -55,7 +55,7 @@ class Frame(NamedTuple):
 
 
 def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
-    """Return a log in tables; `delay` [s] replaces a column `arrived`. Raise UserError where one or a column is missing."""
+    """Return a log in tables; `delay` [s] replaces a column `arrived`. Raise UserError if a table or a column is missing."""
     measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
     if measured is None and isinstance(path, Mapping):
         raise UserError("the recording: got no frame 'measurements', expected one; give it.")
@@ -91,13 +91,13 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
                 std=column_of(part, named["std"], measured.name) if "std" in named else np.zeros(0),
             )
             row += len(part)
-            yield batch.select(~np.isnan(batch.value) | np.isnan(late))  # without a value it was lost, or never taken
+            yield batch.select(~np.isnan(batch.value) | np.isnan(late))  # without a value it was lost, or not taken
 
     return Log(measured.name, channels, measurements, _table(inputs, "inputs"), _table(truth, "truth"))
 
 
 def _file(path: Path | Frames, what: str) -> Path | Frame | None:
-    """The file of one table of a log in a folder, or next to the file of the measurements; or its frame."""
+    """Return the file of one table of a log in a folder, or next to the file of the measurements; or its frame."""
     if isinstance(path, Mapping):
         if unknown_names := path.keys() - {"measurements", "inputs", "truth"}:
             raise unknown("the recording", "table", min(unknown_names), ["measurements", "inputs", "truth"])
@@ -113,7 +113,7 @@ def _file(path: Path | Frames, what: str) -> Path | Frame | None:
 
 
 def _find_columns(path: Path | Frame, wanted: Sequence[str]) -> dict[str, str]:
-    """The heads of a file's columns by name, those that are wanted among them."""
+    """Return the heads of a file's columns by name, including the wanted ones."""
     every = heads(path)
     named = {
         name: find_column(every, name, path.name)[0] for name in [name_and_unit(head)[0] for head in every] if name
@@ -130,7 +130,7 @@ def _find_columns(path: Path | Frame, wanted: Sequence[str]) -> dict[str, str]:
 
 
 def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
-    """Every channel's name, in the order of the numbers in them."""
+    """Return every channel's name, in the order of the numbers in them."""
     names: set[str] = set()
     for part in batches(path, [head], [head]):
         names |= set(pc.unique(words_of(part, head, f"{path.name}: {head}")).to_pylist())
@@ -147,7 +147,7 @@ def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
 
 
 def _table(path: Path | Frame | None, what: str) -> Table | None:
-    """A table of t and columns of numbers."""
+    """Return a table of t and columns of numbers."""
     if path is None:
         return None
     named = _find_columns(path, ["t"])
@@ -185,7 +185,7 @@ def as_tables(
 
 
 def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
-    """Return the heads of a file's columns as they are written; raise UserError where it cannot be read."""
+    """Return the heads of a file's columns as written; raise UserError if it cannot be read."""
     if isinstance(path, Frame):
         return list(map(str, path.table.column_names))
     with _readable(path):
@@ -193,18 +193,18 @@ def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
 
 
 def has_channels(path: Path) -> bool:
-    """Say whether a file is a table with a column of channels."""
+    """Return whether a file is a table with a column of channels."""
     return path.suffix.lower() in KINDS and any(name_and_unit(head)[0] == "channel" for head in heads(path))
 
 
 def has_arrivals(path: Path) -> bool:
-    """Say whether the measurements of a folder or file have the column arrived."""
+    """Return whether the measurements of a folder or file have the column arrived."""
     file = _file(path, "measurements")
     return file is not None and any(name_and_unit(head)[0] == "arrived" for head in heads(file))
 
 
 def name_and_unit(head: str) -> tuple[str, str | None]:
-    """Return the name and the unit of a column's head, such as "sampled [ms]"; None where it has none."""
+    """Return the name and the unit of a column's head, such as "sampled [ms]"; None without a unit."""
     match = HEAD.match(head)
     return (match[1], match[2] or match[3]) if match else (head, None)
 
@@ -212,12 +212,12 @@ def name_and_unit(head: str) -> tuple[str, str | None]:
 def batches(
     path: Path | Frame, names: Sequence[str], words: Sequence[str] = (), given: CsvOptions = FOUND
 ) -> Iterator[pa.RecordBatch]:
-    """Yield the columns `names` a part at a time; all but those of `words` are numbers or times. Errors name the file."""
+    """Yield the columns `names` in parts; all except those of `words` are numbers or times. Errors name the file."""
     if isinstance(path, Frame):
         yield from path.table.select(list(names)).to_batches(MANY)
         return
     if path.suffix.lower() == ".parquet":
-        # else a group's whole column is read first
+        # the default reads a group's whole column first
         with _readable(path), pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
             yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
         return
@@ -240,7 +240,7 @@ def batches(
 
 
 def columns(source: Source) -> Iterator[Columns]:
-    """Yield parts of columns; what is empty is NaN. A field may lack its unit, or be a part of a column: `pose.position.x`."""
+    """Yield parts of columns; empty cells are NaN. A field may omit its unit, or be a part of a column: `pose.position.x`."""
     every = heads(source.path, source.csv)
     paths = {field: find_column(every, field, source.place, field in source.times) for field in source.fields}
     for part in batches(source.path, sorted({head for head, _ in paths.values()}), given=source.csv):
@@ -251,7 +251,7 @@ def columns(source: Source) -> Iterator[Columns]:
 
 
 def topics(source: Source) -> Iterator[Topic]:
-    """Yield the one topic of a table: its columns, and what is in structs."""
+    """Yield the one topic of a table: its columns, and the fields of structs."""
     with _readable(source.path):
         if source.path.suffix.lower() == ".parquet":
             types = [(each.name, each.type) for each in pq.read_schema(source.path)]
@@ -277,7 +277,7 @@ def topics(source: Source) -> Iterator[Topic]:
 
 
 def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
-    """Return the head of the column of a field, and the parts within it; raise UserError for none, or several."""
+    """Return the head of a field's column, and the path within it; raise UserError for none, or several."""
     bare = [name_and_unit(head)[0] for head in every]
     parts = field.split(".")
     for many in range(len(parts), 0, -1):
@@ -293,9 +293,9 @@ def find_column(every: Sequence[str], field: str, where: str, time: bool = False
 def column_of(
     part: pa.RecordBatch, head: str, where: str, inner: str = "", *, time: bool = False, unit: str | None = None
 ) -> Floats:
-    """Return a column, or what is within it, as numbers, NaN where it is empty, a `time` in seconds, of `unit` or the head's.
+    """Return a column, or a part of it, as numbers; empty cells are NaN, a `time` is in seconds, of `unit` or the head's.
 
-    Raises UserError where it holds something else, or its unit is unknown or must be said.
+    Raises UserError if it contains something else, or if its unit is unknown or missing.
     """
     column, where, own = part.column(head), f"{where}: {head}", name_and_unit(head)[1]
     if time and unit and own in SECONDS and own != unit:
@@ -334,7 +334,7 @@ def column_of(
 
 
 def _within(column: pa.Array, name: str, where: str) -> pa.Array:
-    """A field of a column of structs, or a place of one of lists, from 0."""
+    """Return a field of a column of structs, or an entry of one of lists, from 0."""
     if pa.types.is_struct(column.type):
         inner = [each.name for each in column.type]
         if name not in inner:
@@ -348,7 +348,7 @@ def _within(column: pa.Array, name: str, where: str) -> pa.Array:
 
 
 def words_of(part: pa.RecordBatch, head: str, where: str) -> pa.Array:
-    """Return a column of words; raise UserError where it holds something else."""
+    """Return a column of words; raise UserError if it contains something else."""
     column = part.column(head)
     column = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
     try:
@@ -366,12 +366,12 @@ ROW = re.compile(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+
 
 @contextmanager
 def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
-    """Turn whatever a reader raises into a UserError that names the file and, of CSV, the row."""
+    """Convert any exception of a reader into a UserError with the file and, for CSV, the row."""
     try:
         yield
     except (UserError, ImportError):
         raise
-    except Exception as error:  # pyarrow raises UnicodeDecodeError and ValueError, too
+    except Exception as error:  # pyarrow also raises UnicodeDecodeError and ValueError
         text = str(error)
         if d and (cell := CELL.match(text)):
             expected = (

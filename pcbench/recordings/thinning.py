@@ -1,4 +1,4 @@
-"""A fast recording as a slow, delayed sensor would have brought it: some of its measurements, later; the truth has all."""
+"""Thin a fast recording to a slow, delayed sensor: some of its measurements, delayed; the truth keeps all."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,10 +14,10 @@ from pcbench.recordings.tables import as_tables
 def thin_tables(
     log: Log, every: int, delays: Mapping[str, Floats] | None = None, truth: Sequence[str] | None = None, seed: int = 0
 ) -> dict[str, pa.Table]:
-    """Return the tables of a recording that keeps one of `every` so many measurements of each channel.
+    """Return the tables of a recording with one of `every` measurements of each channel.
 
-    Each comes a delay later that is drawn from those of its channel [s], NaN: lost; of a recording without `delays`, as before.
-    The truth is that of the recording if it has one, else all measurements, named `truth` or as their channels.
+    Each arrives after a delay drawn from those of its channel [s], NaN: lost; without `delays`, as recorded. The truth is that
+    of the recording if it has one, else all measurements, named `truth` or as their channels.
     """
     batches = list(log.measurements())
     if not batches:
@@ -48,7 +48,7 @@ def thin_tables(
 
 
 def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
-    """Return recorded delays [s] for each of some channels: those of its name, or of a log's one channel; NaN: lost."""
+    """Return recorded delays [s] for each of some channels: of the channel with its name, or of a log's one channel; NaN: lost."""
     batches = list(log.measurements())
     out = {}
     for name in channels:
@@ -67,6 +67,6 @@ def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
 
 
 def _whole(table: Table) -> tuple[Sequence[str], Floats, Floats]:
-    """A table with its names, times and values."""
+    """Return a table with its names, times and values."""
     parts = list(table.read())
     return table.names, np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts])

@@ -1,13 +1,13 @@
-"""Times of a log: in ticks of dt, when samples arrived, and that all are of one clock.
+"""Times of a recording in ticks, and a check that all times are of one clock.
 
-Times of two clocks (simulated time and the time of day, a stamp of 0 before a receiver has its first fix, milliseconds read
-as seconds) form groups with a gap between them. Let g be one of the three largest gaps between neighbouring times of the log,
+Times of two clocks form groups with a gap between them. Examples are simulated time and time of day, a timestamp of 0 before a
+receiver has its first fix, or milliseconds read as seconds. Let g be one of the three largest gaps between neighbouring times,
 and r the sum of all smaller gaps:
 
     two clocks:   g > FACTOR r   and   g > HOUR, or g > DAY if one column has times on both sides
 
-So the limit is relative to the time that the log covers, and a log that passes lasts at most FACTOR times as long as its rows
-do, or a few days. Not claimed: that clocks that differ by less are found; `pcbench info` shows their delays.
+The limit is relative to the time that the rows cover: an accepted recording lasts at most FACTOR times as long as its rows, or
+a few days. Not claimed: that smaller clock differences are found; `pcbench info` shows the delays.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from pcbench.errors import UserError
 from pcbench.recordings.log import Batch, Floats, Ints, Log, Rows
 from pcbench.recordings.running_stats import Spread
 
-NEVER = 2**40  # the tick of what was lost
-SMALL = 0.01  # of a median interval: a rounding that hardly matters
+NEVER = 2**40  # the tick of a lost sample
+SMALL = 0.01  # relative to a median interval: negligible rounding
 DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, 64, 80, 100, 125, 200, 250, 500, 1000)
 FACTOR = 10.0
-GAPS = 3  # the largest gaps that are looked at
+GAPS = 3  # number of the largest gaps that are examined
 HOUR, DAY, YEAR = 3600.0, 86400.0, 365.25 * 86400.0  # [s]
 
 
 class Clock(NamedTuple):
-    """What turns a log's seconds into ticks."""
+    """Conversion of a log's seconds to ticks."""
 
     start: float  # [s] of the log's clock, tick 0
     dt: float  # [s]
@@ -40,15 +40,15 @@ class Clock(NamedTuple):
 
 
 def rounding(times: Floats, dt: float) -> float:
-    """Return by how much [s] times since tick 0 [s] are rounded to ticks of dt [s] at most."""
+    """Return the largest rounding error [s] of times since tick 0 [s] in ticks of dt [s]."""
     return float(np.abs(times / dt - np.rint(times / dt)).max(initial=0.0)) * dt
 
 
 def better_dt(times: Floats, dt: float, interval: float) -> float | None:
-    """Return the longest dt [s] of a few that rounds times [s] by less than SMALL of an interval [s]; None: no need.
+    """Return the longest of a few dt [s] that rounds times [s] by less than SMALL of an interval [s]; None: no need.
 
-    Tried are the interval and dt divided by whole numbers. Where none is short enough, twice what is small: no time is rounded
-    by more than half a tick.
+    Candidates are the interval and dt divided by whole numbers. If none is short enough, the result is twice the allowed
+    rounding, as no time is rounded by more than half a tick.
     """
     small = SMALL * interval
     if not interval > 0 or rounding(times, dt) <= small:
@@ -58,9 +58,9 @@ def better_dt(times: Floats, dt: float, interval: float) -> float | None:
 
 
 def require_sound(log: Log, batch: Batch) -> None:
-    """Raise UserError naming the first row of a batch that no run can be fed with.
+    """Raise UserError with the first invalid row of a batch.
 
-    Such is one without a number or a time, that arrived before it was sampled, or whose stated noise is no number above 0.
+    A row is invalid without a number or a time, if it arrived before it was sampled, or if its stated noise is not positive.
     """
     above_0 = np.isfinite(batch.std) & (batch.std > 0) | np.isnan(batch.std) if len(batch.std) else np.array([True])
     for bad, got, expected in (
@@ -86,7 +86,7 @@ def require_sound(log: Log, batch: Batch) -> None:
 
 
 def require_forward(where: str, before: float, rows: Rows) -> None:
-    """Raise UserError naming the first row of a table of inputs or truth whose time is none, or not after the row before."""
+    """Raise UserError with the first row of inputs or truth whose time is missing, or not after the previous row."""
     back = ~(np.diff(rows.t, prepend=before) > 0)
     if back.any():
         i = int(np.argmax(back))
@@ -100,13 +100,13 @@ def require_forward(where: str, before: float, rows: Rows) -> None:
 class TimeColumn(NamedTuple):
     """One column of times."""
 
-    name: str  # as a sentence names it
-    fix: str  # how to convert it, as a sentence says it
-    times: Spread  # marked by their rows
+    name: str  # in messages
+    fix: str  # how to convert it, in messages
+    times: Spread  # marked by row
 
 
 def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
-    """Raise UserError for times of two clocks; it names the row, or the columns that differ."""
+    """Raise UserError for times of two clocks, with the row, or with the columns that differ."""
     columns = [c for c in columns if c.times.many]
     some = [c.times.kept[:, 1] for c in columns]
     times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *some]))
@@ -118,7 +118,7 @@ def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
         if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if both else HOUR):
             continue
         far = format_duration(after - before)
-        if both:  # one column is on both sides; most times of the log are right
+        if both:  # most times of the log are right
             s, early = both[0].times, np.concatenate(some) <= before
             few = 2 * early.sum() <= len(early)
             time, row, side = (s.least, s.least_mark, "before") if few else (s.most, s.most_mark, "after")
@@ -135,7 +135,7 @@ def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
 
 
 def format_duration(seconds: float) -> str:
-    """Return a length of time as a sentence says it."""
+    """Return a duration as text."""
     for unit, name in ((YEAR, "years"), (DAY, "days"), (HOUR, "hours")):
         if seconds >= unit:
             return f"{seconds / unit:.3g} {name}"

@@ -1,7 +1,6 @@
-"""Flight logs of PX4 (ULog), read by pyulog. Stamps are microseconds since start; a topic's instance n is "topic.n".
+"""Flight logs of PX4 (ULog), read by pyulog. Timestamps are microseconds since start; a topic's instance n is "topic.n".
 
-A ULog is read as a whole, for its reader has no other way: once, however many channels and passes there are, and of its topics
-only those that are asked for are held.
+The reader can only read a ULog as a whole. It is read once for all channels and passes, and only requested topics are kept.
 """
 
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from pcbench.recordings.log import SECONDS, Columns, Source, Topic, reading, req
 
 
 def columns(source: Source) -> Iterator[Columns]:
-    """Yield a topic's fields. A message without stamp_sample is stamped when it was logged."""
+    """Yield a topic's fields. A message without timestamp_sample has the time at which it was logged."""
     name, _, instance = source.topic.partition(".")
     topic = f"{name}.{instance}" if instance not in ("", "0") else name
     if not source.loaded:
@@ -39,10 +38,10 @@ def topics(source: Source) -> Iterator[Topic]:
 
 
 def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.ndarray]]:
-    """The fields of topics of these names (None: of all), by topic."""
+    """Return the fields of topics of these names (None: all), by topic."""
     from pyulog import ULog
 
-    with reading(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # what it has passed over
+    with reading(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # of skipped data
         log = ULog(str(source.path), names)
     if log.file_corruption or "corrupt" in remarks.getvalue():
         raise UserError(

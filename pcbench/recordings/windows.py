@@ -1,8 +1,8 @@
-"""A log's samples as ticks, some ticks at a time, as `schedule.common_times.schedule` lays them out for a run, with values.
+"""A recording's samples in ticks, block by block, as `schedule.common_times.schedule` returns them for a run, with values.
 
-A stretch of ticks holds all that is taken or arrives in it. Rows may be in any order: a stretch is complete once a row has been
-read whose stamp is later than its end by as much as any row is behind (`Survey.behind`). And the room that a log needs: slots,
-packets on their way, samples that overtake, ages.
+A block of ticks contains all samples taken or arriving in it. Rows may be in any order. A block is complete once a row is read
+whose timestamp is later than its end by the largest lag of any row (`Survey.behind`). `Room` has the sizes that a recording
+needs: slots, packets in flight, out-of-sequence samples, ages.
 """
 
 from collections.abc import Iterator
@@ -23,26 +23,25 @@ Ticks = NDArray[np.int32]
 class Stretch(NamedTuple):
     """Ticks first .. end - 1 of a log.
 
-    Samples have the columns channel, taken [tick], arrives [tick] (not before taken; NEVER of one that was lost), value, row,
-    std (of the value's noise; NaN: none is stated), number (which sample of its channel, from 0) and packet (which sampling
-    instant, from 0).
+    Columns of samples: channel, taken [tick], arrives [tick] (not before taken; NEVER: lost), value, row, std (of the noise;
+    NaN: not stated), number (of the sample in its channel, from 0) and packet (sampling instant, from 0).
     """
 
     first: int
     end: int
-    taken: pd.DataFrame  # those taken in it, in the order in which they were, at one tick in the order of channels
-    arriving: pd.DataFrame  # those that arrive in it, by tick of arrival, then of taking, then by channel
+    taken: pd.DataFrame  # taken in the block, in sampling order, at one tick in the order of channels
+    arriving: pd.DataFrame  # arriving in the block, by tick of arrival, then of sampling, then by channel
 
 
 class Window(NamedTuple):
-    """K ticks, q channels, S arrival slots; -1 means nothing."""
+    """K ticks, q channels, S arrival slots; -1: none."""
 
     sense: Ticks  # [K] the packet taken at this tick
     sampled: NDArray[np.bool_]  # [K, q] the channels in it
     arrive: Ticks  # [K, S] the packets that arrive
-    taken: Ticks  # [K, S] the tick at which it was taken
+    taken: Ticks  # [K, S] their sampling ticks
     mask: NDArray[np.bool_]  # [K, S, q]
-    number: Ticks  # [K, S, q] which sample of its channel
+    number: Ticks  # [K, S, q] sample number of each channel
     value: Floats  # [K, S, q]
     ticks_since_arrival: Ticks  # [K, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: NDArray[np.bool_]  # [K]
@@ -50,22 +49,22 @@ class Window(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What a log needs room for; ticks."""
+    """The room that a recording needs; ticks."""
 
     slots: int = 1  # packets that arrive at one tick
-    flight: int = 1  # packets on their way, the one that is taken now too
-    overtaking: int = 0  # newer packets that arrive before one
-    latest: int = 0  # the greatest age at arrival
-    apart: int = 0  # the longest time from one packet to the next,
-    apart_row: int = 0  # and a row of the latter
-    recent: Ints = np.zeros((0, 3), np.int64)  # (taken, arrives, packet) of packets that matter to the next stretch,
-    newest: int = 0  # and the tick at which the last packet was taken
+    flight: int = 1  # packets in flight, including the one taken now
+    overtaking: int = 0  # newer packets that arrive before an older one
+    latest: int = 0  # largest age at arrival
+    apart: int = 0  # longest time from one packet to the next
+    apart_row: int = 0  # row of the latter
+    recent: Ints = np.zeros((0, 3), np.int64)  # (taken, arrives, packet) of packets that matter for the next block
+    newest: int = 0  # tick at which the last packet was taken
 
 
 def cut(parts: Iterator[pd.DataFrame], length: int, last: int, behind: int = 0) -> Iterator[tuple[int, pd.DataFrame]]:
-    """Yield the first tick of every `length` ticks until `last` is in them, and the rows of that time, in their order.
+    """Yield the first tick of every `length` ticks up to `last`, and the rows of that time, in order.
 
-    The index of the parts, one at least, is their ticks, none below 0. A row may be `behind` ticks behind the newest before it.
+    The index of the parts (at least one) is their ticks, none below 0. A row may be `behind` ticks behind an earlier row.
     """
     waiting = [next(parts)]
     newest = waiting[0].index.max()
@@ -80,9 +79,9 @@ def cut(parts: Iterator[pd.DataFrame], length: int, last: int, behind: int = 0) 
 
 
 def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) -> Iterator[Stretch]:
-    """Yield a log in stretches of `length` ticks, the last one with tick `last` in it.
+    """Yield a log in blocks of `length` ticks, the last one with tick `last` in it.
 
-    Raises UserError where two samples of a channel fall on one tick. What was taken before tick 0 or after `last` is left out.
+    Raises UserError if two samples of a channel are at one tick. Samples taken before tick 0 or after `last` are left out.
     """
 
     def parts() -> Iterator[pd.DataFrame]:
@@ -121,9 +120,9 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
 def window(
     s: Stretch, channels: int, slots: int, last_arrival: int, variances: Floats | None = None
 ) -> tuple[Window, int]:
-    """Lay a stretch out; return it, and the last tick at which anything arrived, given that of before.
+    """Return the window of a block, and the last tick with an arrival, given the previous one.
 
-    `variances` [q] are those that the design takes for each channel's noise, of a log that states the noise of its samples.
+    `variances` [q] are the assumed noise variances, for a log that states the noise of its samples.
     """
     many, shape = s.end - s.first, (s.end - s.first, slots)
     out = Window(
@@ -156,23 +155,23 @@ def window(
 
 
 def slots_of(s: Stretch) -> Ints:
-    """Return the slot of every sample that arrives in a stretch: those of one packet share one, the oldest has the first."""
+    """Return the slot of every sample that arrives in a block: samples of one packet share a slot, the oldest is first."""
     by_tick = s.arriving.groupby("arrives").packet
     return (by_tick.rank("dense") - 1).to_numpy(np.int64)
 
 
 def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
-    """Return the room with one stretch more; `latest` bounds the age [ticks] of all samples of the log."""
+    """Return the room after one more block; `latest` bounds the age [ticks] of all samples of the log."""
     on_its_way = s.taken[s.taken.arrives < NEVER][["taken", "arrives", "packet"]].to_numpy()
     packets = np.unique(np.concatenate([room.recent, on_its_way]), axis=0)
     taken, arrives, number = packets.T
-    first = s.taken.drop_duplicates("taken")  # sample of each packet
+    first = s.taken.drop_duplicates("taken")  # one sample per packet
     apart = np.diff(first.taken, prepend=room.newest)
     further = int(apart.max(initial=0)) > room.apart
-    # from each packet to the newest that is taken by the time that it arrives, both counted
+    # from each packet to the newest taken by the time it arrives, inclusive
     place = np.searchsorted(first.taken, arrives, side="right") - 1
     by_then = np.where(place >= 0, first.packet.to_numpy()[place], number) if len(first) else number
-    # newer packets that arrive before one, as `common_times.overtaking`
+    # newer packets that arrive before an older one, as `common_times.overtaking`
     overtaking, shift = np.zeros(len(packets), int), 1
     while shift < len(packets) and (taken[shift:] < arrives[:-shift]).any():
         overtaking[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
