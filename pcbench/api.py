@@ -251,10 +251,12 @@ def simulate(
     columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.arrived).T)}
     frame = pd.DataFrame(columns)
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
-    frame.attrs["excluded"] = study.excluded or {}  # why others of "all" are not here
+    frame.attrs["excluded"] = study.excluded or {}  # reasons for observers of "all" that are missing
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
     frame.attrs["output_units"] = {f"y{i + 1}": unit for i, unit in enumerate(output_units(p.cell.scenario))}
-    frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)  # of the predictions to now, by observer
+    frame.attrs["predicts_unknown_input"] = dict(
+        p.predicts_unknown_input
+    )  # of the predictions to the present, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
 
@@ -296,12 +298,12 @@ def operation_counts(
             for label, found in counts.costs(p).items()
         ]
     table = pd.DataFrame(rows)
-    table.attrs["excluded"] = grid.study.excluded or {}  # why others of "all" are not here
+    table.attrs["excluded"] = grid.study.excluded or {}  # reasons for observers of "all" that are missing
     return table
 
 
 def _forward_fill(arrived: np.ndarray) -> np.ndarray:
-    """What has arrived and is held at every tick, [N+1, q], from what arrives at each; NaN before the first."""
+    """Return the last arrival of each channel at every tick, [N+1, q], from the arrivals at each; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isnan(arrived), -1, np.arange(len(arrived))[:, None]))
     return np.where(last >= 0, np.take_along_axis(arrived, np.maximum(last, 0), 0), np.nan)
 
@@ -338,7 +340,7 @@ SIMULATED = (
     "exact_objective",
     "training_seeds",
     "validation_seeds",
-)  # arguments of runs alone
+)  # arguments for simulated runs only
 
 
 def tune(

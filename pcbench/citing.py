@@ -1,6 +1,6 @@
-"""BibTeX of what a study used: entries of references.bib, found by the words in the sources of observers and scenarios.
+"""BibTeX entries of the sources that a study uses, found in references.bib by words in the sources of observers and scenarios.
 
-Where a result says which solvers its gains were certified by, these alone are cited; of a study that has not run, none.
+Solvers are cited if a result records that they certified its gains. A study that has not run cites no solver.
 """
 
 import re
@@ -19,35 +19,35 @@ from pcbench.study.parse import outline
 
 FILE = Path(__file__).parent / "references.bib"
 ENTRY = re.compile(r"^% known by: (?P<words>[^\n]+)\n(?P<text>@\w+\{(?P<key>[\w-]+),.*?^\})$", re.M | re.S)
-ALWAYS = ("pcbench", "jax", "numpy", "scipy")  # every number is theirs
+ALWAYS = ("pcbench", "jax", "numpy", "scipy")  # cited for every result
 SOLVERS = ("CLARABEL", "SCS")
-MODELLING = "cvxpy"  # what states the inequalities to them
+MODELLING = "cvxpy"  # the modelling language of the inequalities
 
 
 class Reference(NamedTuple):
     """An entry of references.bib."""
 
     key: str
-    words: str  # by which it is known
+    words: str  # words by which it is found
     text: str
 
 
 def references() -> list[Reference]:
-    """Return every entry there is."""
+    """Return all entries."""
     entries = ENTRY.finditer(FILE.read_text(encoding="utf-8"))
     return [Reference(m["key"], m["words"].strip(), m["text"]) for m in entries]
 
 
 def find_citations(sources: Iterable[str]) -> list[str]:
-    """Return the keys of what sources name."""
+    """Return the keys of the entries that the sources refer to."""
     every = list(sources)
     return [r.key for r in references() if any(r.words in source for source in every)]
 
 
 def bibtex(what: str | None = None) -> str:
-    """Return BibTeX of what a result's folder or a study uses; of nothing in particular, of all that there is.
+    """Return BibTeX of the sources of a result's folder or a study; None: all entries.
 
-    Raises UserError where `what` is neither.
+    Raises UserError if `what` is neither.
     """
     entries, about = references(), ["everything that pcbench has"]
     if what is not None:
@@ -72,9 +72,9 @@ def bibtex(what: str | None = None) -> str:
 
 
 def _sources(study: Study) -> list[str]:
-    """What the scenarios and observers of a study have as their sources.
+    """Return the sources of the scenarios and observers of a study.
 
-    Of a scenario that is made from a published plant, also that of the plant's own scenarios.
+    A scenario derived from a published plant also has the sources of the plant's own scenarios.
     """
     every, sources = scenarios_of(study), []
     for s in (every[name] for name in study.scenarios):

@@ -1,4 +1,4 @@
-"""What a user did wrong, or a user's code raised, as one sentence: where, what was found, what was expected, what to do."""
+"""User errors, and exceptions in user code, as one sentence: the place, the value, what was expected, and how to correct it."""
 
 import difflib
 import errno
@@ -9,14 +9,16 @@ import traceback
 from collections.abc import Iterable
 from reprlib import Repr
 
-SETTING = re.compile(r"(region|scheme|allow_bucket_creation|allow_bucket_deletion)=[\w-]*")  # that an address may show
-LONGEST = 100  # characters of a value that a sentence quotes
+SETTING = re.compile(
+    r"(region|scheme|allow_bucket_creation|allow_bucket_deletion)=[\w-]*"
+)  # settings that may be shown in an address
+LONGEST = 100  # largest length of a quoted value
 LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")})
 OURS = os.path.dirname(os.path.realpath(__file__))
 
 
 def printable(text: str, but: str = "") -> str:
-    """Return a text that no terminal and no page obeys: characters that cannot be printed, `but` those, are their escapes."""
+    """Return a text with escapes for characters that cannot be printed, except `but`."""
     return text if text.isprintable() else "".join(c if c.isprintable() or c in but else ascii(c)[1:-1] for c in text)
 
 
@@ -35,18 +37,18 @@ class DigitsError(UserError):
 
 
 class DesignError(UserError):
-    """A gain that was not found or not certified. The sentence names the margin and the status of the solver."""
+    """Gains that were not found or not certified. The sentence has the margin and the solver's status."""
 
 
 def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.4) -> str:
-    """Return the valid name that is most like `got`, whatever their case; empty if none has a likeness of `cutoff` (0 to 1)."""
+    """Return the valid name most similar to `got`, ignoring case; empty if no similarity reaches `cutoff` (0 to 1)."""
     lower = {name.lower(): name for name in valid}
     near = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=cutoff)
     return lower[near[0]] if near else ""
 
 
 def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
-    """Say that `got` is no `kind`, with the nearest valid name and all of them."""
+    """Return an error that `got` is not a valid `kind`, with the nearest valid name and all of them."""
     names = sorted(valid)
     near = nearest_name(got, names)
     hint = f"did you mean '{near}'? " if near else ""
@@ -59,21 +61,21 @@ EXTRAS = {"distributed": "dask", "control": "control"} | dict.fromkeys(
 
 
 def missing(module: str) -> str:
-    """Say that a library is not installed, as where pcbench was installed without what it depends on."""
+    """Return a message that a library is not installed, with the command that installs it."""
     package = module.split(".")[0].replace("_", "-")
     named = f"'pcbench[{EXTRAS[package]}]'" if package in EXTRAS else package
     return f"got no package '{package}', expected it for this command; install it: pip install {named}."
 
 
 def short(text: str) -> str:
-    """Return a text that a sentence may quote: what is too long loses its middle."""
+    """Return a text for quotation in a sentence: a long text is shortened in the middle."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 23]}...{text[-20:]}"
 
 
 def shown_address(text: str) -> str:
-    """Return an address as a sentence or a file may show it.
+    """Return an address without secrets, for a sentence or a file.
 
-    Everything between the scheme and the last `@` is left out, and of its query all but a few harmless settings.
+    Everything between the scheme and the last `@` is left out, and all of its query except a few harmless settings.
     """
     scheme, mark, rest = text.partition("://")
     if not mark:
@@ -84,18 +86,18 @@ def shown_address(text: str) -> str:
 
 
 def first_sentence(error: object) -> str:
-    """Return the first sentence of what another library said, without its full stop."""
+    """Return the first sentence of another library's message, without its full stop."""
     return short(re.split(r"\.\s|\n", str(error).strip())[0].rstrip("."))
 
 
 def out_of_memory(error: BaseException) -> bool:
-    """Say whether an error is that memory ran out: Python's, the system's, a library's or a compiled program's."""
+    """Return whether an error means that memory ran out: from Python, the system, a library or a compiled program."""
     of_system = isinstance(error, OSError) and error.errno == errno.ENOMEM
     return isinstance(error, MemoryError) or of_system or str(error).startswith("RESOURCE_EXHAUSTED")
 
 
 def unreadable(error: BaseException, where: str, instead: str) -> UserError:
-    """Say why a file could not be read: memory ran out, or what its reader says of it, and what was expected `instead`."""
+    """Return an error for an unreadable file: out of memory, or the reader's message with what was expected `instead`."""
     found = first_sentence(error) if str(error) else "it ends too early"
     if out_of_memory(error):
         return UserError(f"{where}: memory ran out while it was read ({found}), expected more; end other programs.")
@@ -103,34 +105,34 @@ def unreadable(error: BaseException, where: str, instead: str) -> UserError:
 
 
 def brief_repr(value: object) -> str:
-    """Return a value as a sentence quotes it: its repr, of a size that can be read."""
+    """Return the repr of a value for quotation in a sentence, shortened if necessary."""
     brief = Repr()
     brief.maxstring = brief.maxother = brief.maxlong = LONGEST
     brief.maxlist = brief.maxtuple = brief.maxdict = 8
     brief.maxlevel = 4
     try:
         return short(brief.repr(value))
-    except ValueError:  # of an integer with too many digits to be written
+    except ValueError:  # an integer with too many digits
         return f"a value of type {type(value).__name__} that is too long to be written here"
 
 
 def describe_exception(error: BaseException) -> str:
-    """Return `Type: message, file line n`, of the last line that is neither pcbench's nor a library's."""
+    """Return `Type: message, file line n`, for the last line in user code."""
     try:
         message = first_sentence(error)
-    except Exception:  # of an exception that cannot even say what it is
+    except Exception:  # an exception whose message raises
         message = "without a message that can be read"
     place = line_of(error)
     return f"{type(error).__name__}{': ' if message else ''}{message}" + (f", {place}" if place else "")
 
 
 def is_ours(thing: object) -> bool:
-    """Say whether a function or a class is pcbench's own, not a user's."""
+    """Return whether a function or a class is part of pcbench."""
     return str(getattr(thing, "__module__", "")).split(".")[0] == "pcbench"
 
 
 def line_of(error: BaseException) -> str:
-    """Return `file line n` of the user's code that an exception came from; empty where there is none."""
+    """Return `file line n` of the user code that raised an exception; empty if there is none."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{os.path.basename(error.filename)} line {error.lineno}"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if _users(f.filename)]

@@ -1,4 +1,4 @@
-"""Numbers written as a formula of named ones, such as "-k/m" or "2*(a + 1)^2": + - * / ^, parentheses, names, nothing else.
+"""Formulas of named numbers, such as "-k/m" or "2*(a + 1)^2", with + - * / ^, parentheses and names only.
 
 sum = product {(+ | -) product},  product = signed {(* | /) signed},  signed = [+ | -] power,  power = atom [^ signed]
 
@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from typing import TypeAlias
 
-LONGEST = 100  # characters, of fields tokens: a formula this long is nested less deep than Python can follow
+LONGEST = 100  # characters, or tokens for formulas of fields: limits the nesting depth below Python's
 LONGEST_NAMES = 1000  # characters of a formula of fields
 NUMBER = r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
 TOKEN = re.compile(NUMBER + r"|([A-Za-z]\w*)|([-+*/^()]))")
@@ -22,13 +22,15 @@ OPERATORS: dict[str, Callable[[complex, complex], complex]] = {
     "/": operator.truediv,
     "^": operator.pow,
 }
-# a number, a name, an operator between two, or a function of some
+# a number, a name, an operator with two operands, or a function call
 Tree: TypeAlias = "float | str | tuple[str, *tuple[Tree, ...]]"
-Part: TypeAlias = "Callable[[list[str], Collection[str]], tuple[Tree, list[str]]]"  # what begins a list of tokens
+Part: TypeAlias = (
+    "Callable[[list[str], Collection[str]], tuple[Tree, list[str]]]"  # parses the start of a list of tokens
+)
 
 
 def parse_formula(text: str, functions: Collection[str] = ()) -> Tree:
-    """Return a formula as a tree; raise ValueError, which says what is wrong, where it is none."""
+    """Return a formula as a tree; raise ValueError with the expected form if it is invalid."""
     longest = LONGEST_NAMES if functions else LONGEST
     tokens, at = [], 0
     while text[at:].strip() and len(text) <= longest:
@@ -58,7 +60,7 @@ def names(tree: Tree) -> set[str]:
 
 
 def value(tree: Tree, numbers: Mapping[str, float]) -> float:
-    """Return what a formula comes to; raise ValueError where that is no finite number."""
+    """Return the value of a formula; raise ValueError if it is not finite."""
     try:
         found = _value(tree, numbers)
     except ArithmeticError:
@@ -83,7 +85,7 @@ def _product(tokens: list[str], functions: Collection[str]) -> tuple[Tree, list[
 
 
 def _chain(tokens: list[str], signs: str, functions: Collection[str], part: Part) -> tuple[Tree, list[str]]:
-    """Parts with signs between them, from the left."""
+    """Parse operands separated by signs, from the left."""
     tree, rest = part(tokens, functions)
     while rest and rest[0] in signs:
         right, after = part(rest[1:], functions)

@@ -1,9 +1,8 @@
-"""The fields of a scenario that a study may vary: one record each, from which axes, columns, units and pages are derived.
+"""The fields of a scenario that a study may vary: one record each, the source of axes, columns, units and reference pages.
 
-A new axis is a record here, a field of the scenario (`scenarios.scenario`), and the code that gives it its effect. For a time
-that is `study.times` and `simulation.schedule`. Any other number is put into `GridPointParams` by `planning.build`, where the
-simulation reads it; measurement noise is made from it by `simulation.measurements`. What does not go with it is refused in
-`study.fits`.
+To add an axis, add a record here, a field of the scenario (`scenarios.scenario`), and the code for its effect. For a time, that
+is in `study.times` and `simulation.schedule`. `planning.build` puts any other number into `GridPointParams`, where the
+simulation reads it; `simulation.measurements` uses it for measurement noise. `study.fits` refuses invalid combinations.
 """
 
 from collections.abc import Callable
@@ -12,39 +11,39 @@ from typing import NamedTuple
 
 
 class Limit(NamedTuple):
-    """What a number of a field must be, besides finite and of a sensible size."""
+    """A condition on the numbers of a field, in addition to being finite and of plausible size."""
 
     holds: Callable[[float], bool]
-    expected: str  # the same in words, as a sentence ends with them
+    expected: str  # the condition as text, at the end of an error message
 
 
 PROBABILITY = Limit(lambda n: n <= 1, "a probability from 0 to 1; divide a percentage by 100.")
 End = (
     float | str
-)  # of a range: a number; or tick; half: of the shortest interval; period; -period; tail: few samples in it
+)  # end of a range: a number; or tick; half: of the shortest interval; period; -period; tail: few samples in it
 
 
 class Field(NamedTuple):
-    """A field of a scenario that may be an axis; how a value is given, and what its column holds."""
+    """A field of a scenario that may be an axis, its values and its column."""
 
     name: str
-    unit: str  # 1: none; empty: of words
+    unit: str  # 1: dimensionless; empty: text
     meaning: str  # of its column
-    title: str  # of a page's row, short
-    form: str = "{}"  # a value on the page: a text with {} for a number; or times, turns, outputs, states, percent
-    # channel, sensor, state, output, value: one, or one for each (outputs: where there is any; of delay_values)
+    title: str  # short title in pages
+    form: str = "{}"  # value in pages: a text with {} for a number; or times, turns, outputs, states, percent
+    # channel, sensor, state, output, value: one, or one per item (outputs: if there are any; values of delay_values)
     per: str = ""
-    word: str = ""  # that may stand for a number; *: any, a name
-    infinite: str = ""  # what inf means
+    word: str = ""  # text allowed instead of a number; *: any name
+    infinite: str = ""  # meaning of inf
     ticks: bool = False  # whole ticks
     signed: bool = False  # may be below 0
-    listed: bool = False  # one value may be a list
-    rows: bool = False  # a scenario may have a list for each channel
-    always: bool = False  # a column of every table; of others only where they are axes
-    random: bool = False  # of times: drawn again in each run
+    listed: bool = False  # a value may be a list
+    rows: bool = False  # a scenario may have a list per channel
+    always: bool = False  # in every table; others only if they are axes
+    random: bool = False  # times are drawn in each run
     loop: bool = False  # of loops that a study closes
     limit: Limit | None = None
-    search: tuple[End, End] | None = None  # where `find-limit` looks; None: a decade about the scenario's own value
+    search: tuple[End, End] | None = None  # default range of `find-limit`; None: a decade around the scenario's value
 
 
 FIELDS = (
@@ -416,5 +415,5 @@ FIELDS = (
 
 @cache
 def names(**wanted: object) -> tuple[str, ...]:
-    """Return the names of the fields that have all these values, in order."""
+    """Return the names of the fields with all these values, in order."""
     return tuple(f.name for f in FIELDS if all(getattr(f, key) == value for key, value in wanted.items()))

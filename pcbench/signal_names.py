@@ -1,8 +1,8 @@
-"""Names with units, such as "angle [rad]": the one place where both are checked, wherever a file or a function gives them.
+"""Names with units, such as "angle [rad]", validated in one place for files and functions.
 
 A unit is printed in tables, figures, LaTeX and the comments of C, so it has few characters: letters, digits, spaces and
 `^ * / % . - ( )`, with `°`, `µ`, `Ω`, `·`, `²` and `³`. After a `^` comes a number or a parenthesis, because `^^` is a code of
-TeX. A unit contains neither `/*` nor `*/`, which are comments of C.
+TeX. A unit contains neither `/*` nor `*/`, which delimit comments of C.
 """
 
 import re
@@ -11,7 +11,9 @@ from collections.abc import Iterable
 from pcbench.errors import UserError, short
 
 LONGEST_NAME = 60  # characters
-TAKEN = re.compile(r"t|[uy]\d+|sigma|scenario|cell|seed|tick")  # other columns of a trace, a recording or a table
+TAKEN = re.compile(
+    r"t|[uy]\d+|sigma|scenario|cell|seed|tick"
+)  # names of other columns of a trajectory, a recording or a table
 LONGEST_UNIT = 40
 LONGEST_TEXT = 200  # of a name with its unit and spaces
 NAME = re.compile(r"[A-Za-z]\w*")
@@ -21,7 +23,7 @@ COMMENTS = ("/*", "*/")
 
 
 def unit(text: str, where: str) -> str:
-    """Return a unit as it is given; raise UserError if it has other characters, or is too long."""
+    """Return a valid unit unchanged; raise UserError if it has other characters, or is too long."""
     if len(text) > LONGEST_UNIT or not UNIT.fullmatch(text) or any(each in text for each in COMMENTS):
         raise UserError(
             f"{where}: got the unit '{short(text)}', expected at most {LONGEST_UNIT} letters, digits and ^ * / % . - ( ), such "
@@ -37,7 +39,7 @@ def name_and_unit(text: str, where: str) -> tuple[str, str]:
 
 
 def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
-    """Return a name and its unit; raise UserError if the name is none, or another column's, or the unit is none."""
+    """Return a valid name and unit; raise UserError if either is invalid, or the name is that of another column."""
     if len(name) > LONGEST_NAME or not NAME.fullmatch(name):
         raise UserError(
             f"{where}: got '{short(name)}', expected a name with a unit, such as 'angle [rad]', of at most {LONGEST_NAME} "
@@ -52,7 +54,7 @@ def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
 
 
 def names_and_units(texts: Iterable[str], where: str) -> tuple[tuple[str, str], ...]:
-    """Return names and units; raise UserError for a text that is none, or a name that occurs twice."""
+    """Return names and units; raise UserError for an invalid text, or a name that occurs twice."""
     found = tuple(name_and_unit(text, where) for text in texts)
     require_different([name for name, _ in found], where)
     return found

@@ -1,20 +1,20 @@
-"""Text of TOML as values, from whoever wrote it: whatever is wrong with it is a ValueError with one sentence."""
+"""Parse TOML text; every error is a ValueError with one sentence."""
 
 import re
 import tomllib
 from typing import Any
 
 TomlTable = dict[str, Any]  # a table: texts, numbers, dates, lists and tables by key
-# tables and lists inside one another: no study has so many, and Python runs out of its stack at some thousand
+# nesting limit of tables and lists: Python's stack overflows at some thousand
 DEEPEST = 64
 LARGEST = 64 * 2**20  # characters
 PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-# a key of so many parts nests as many tables, and the parser takes memory as the square of their number
+# a dotted key nests one table per part, and the parser needs memory quadratic in their number
 DOTTED = re.compile(rf"(?<![\w.-]){PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST}}}")
 
 
 def parse(text: str | bytes) -> TomlTable:
-    """Return what a TOML text holds, with or without a byte-order mark; raise ValueError for what is not valid, or too deep."""
+    """Return the content of a TOML text (a byte-order mark is ignored); raise ValueError if invalid or nested too deep."""
     words = text.decode("utf-8-sig") if isinstance(text, bytes) else text
     if len(words) > LARGEST:
         raise ValueError(f"it has more than {LARGEST:,} characters")

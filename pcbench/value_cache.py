@@ -1,4 +1,4 @@
-"""Results in memory, found by the values of the arguments: arrays by their bits. No jax."""
+"""A cache of results by the values of the arguments; arrays are compared bit by bit. No jax."""
 
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial, wraps
@@ -24,9 +24,9 @@ class _Call(NamedTuple):
 
 
 def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with its last 256 results kept, by arguments that are equal to the bit.
+    """Return the function with a cache of its last 256 results, by arguments that are equal to the bit.
 
-    Arrays among the arguments reach the function as contiguous floats. Callers must not write to an array of a result.
+    Arrays among the arguments are passed to the function as contiguous floats. Callers must not write to an array of a result.
     """
 
     @lru_cache(maxsize=256)
@@ -38,7 +38,7 @@ def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
         each = tuple(map(_contiguous, arguments)), {name: _contiguous(a) for name, a in named.items()}
         return once(_Call(key_of(each), *each))
 
-    for name in ("cache_clear", "cache_info"):  # as functools.lru_cache has them
+    for name in ("cache_clear", "cache_info"):  # as in functools.lru_cache
         setattr(ask, name, getattr(once, name))
     return ask
 
@@ -48,7 +48,7 @@ def _contiguous(argument: object) -> object:
 
 
 def key_of(what: object) -> Hashable:
-    """Return a key that equal numbers share, to the bit; raise TypeError for what has none."""
+    """Return a key that is equal for equal values, to the bit; raise TypeError if there is none."""
     if isinstance(what, np.ndarray):
         return what.dtype.str, what.shape, what.tobytes()
     if what is None or isinstance(what, (bool, int, float, str)):
@@ -61,7 +61,7 @@ def key_of(what: object) -> Hashable:
         return type(what), key_of(what.func), key_of(what.args), key_of(what.keywords)
     if isinstance(what, FunctionType):
         return what
-    if hasattr(what, "__array__"):  # of JAX
+    if hasattr(what, "__array__"):  # JAX arrays
         numbers = np.asarray(what)
         return numbers.dtype.str, numbers.shape, numbers.tobytes()
     raise TypeError(f"{type(what).__name__} has no key")

@@ -1,4 +1,4 @@
-"""The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
+"""The command line: parse, call, print. An error that the user can correct is one sentence with exit code 2."""
 
 import atexit
 import gc
@@ -13,17 +13,16 @@ from pcbench.errors import UserError, first_sentence, missing, out_of_memory, pr
 from pcbench.runtime import ending, thread_pools
 
 __all__ = ["main", "program"]
-MANY = 100_000  # new objects before Python looks for cycles: by thousands it does so all the time that it imports
+MANY = 100_000  # new objects before Python's garbage collector runs; its default is too often during imports
 
 
 def program() -> None:
-    """Run `main` in a process of its own, and end it without the destructors of compiled libraries.
+    """Run `main` in its own process, and end it without the destructors of compiled libraries.
 
-    While a thread of a library still waits, these abort now and then, after all is done. Files are closed and functions of
-    `atexit` called as always.
+    These sometimes abort at exit while a library's thread still waits. Files are closed and `atexit` functions run as usual.
     """
-    code = [1]  # of a fault of ours, which Python prints
-    atexit.register(lambda: ending.end(code[0]))  # the first that is registered is called last
+    code = [1]  # after an internal error, which Python prints
+    atexit.register(lambda: ending.end(code[0]))  # the first function registered is called last
     try:
         main()
     except SystemExit as done:
@@ -32,9 +31,9 @@ def program() -> None:
 
 
 def main() -> None:
-    """Run the command line and exit: 0 done, 1 a check found something wrong, 2 a mistake to mend, 130 stopped, 143 by SIGTERM.
+    """Run the command line and exit: 0 success, 1 a check failed, 2 a user error, 130 interrupted, 143 by SIGTERM.
 
-    Everything is imported here, so that Ctrl-C is heard from the start.
+    Everything is imported here, so that Ctrl-C is handled from the start.
     """
     code = 0
     gc.set_threshold(MANY)
@@ -43,8 +42,10 @@ def main() -> None:
     interrupts.watch()
     sys.unraisablehook = unraisable
     thread_pools.one()
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # no lines of XLA about slow compiling through the progress bar
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would read the metadata of all packages
+    os.environ.setdefault(
+        "TF_CPP_MIN_LOG_LEVEL", "3"
+    )  # hide XLA's warnings about slow compilation, which break the progress bar
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # plugins would read the metadata of all packages
     try:
         from pcbench.cli.commands import app
         from pcbench.cli.shared import speak
@@ -52,7 +53,7 @@ def main() -> None:
         speak()
         code = app(sys.argv[1:] or ["--help"], prog_name="pcbench", standalone_mode=False) or 0
         stop_if_asked()
-        if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
+        if code == STOPPED:  # some releases of the command-line library convert Ctrl-C to an exit code
             raise KeyboardInterrupt
     except UserError as error:
         code = _complain(str(error))
@@ -61,30 +62,30 @@ def main() -> None:
     except BrokenPipeError:
         code = 141
     except ModuleNotFoundError as error:
-        if (error.name or "pcbench").split(".")[0] == "pcbench":  # ours: a fault of ours
+        if (error.name or "pcbench").split(".")[0] == "pcbench":  # an internal error
             raise
         code = _complain(missing(str(error.name)))
     except Exception as error:
-        if is_interrupted():  # what a library makes of it
+        if is_interrupted():  # a library's exception caused by Ctrl-C
             code = _exit_interrupted()
         elif out_of_memory(error):
             code = _complain(
                 f"memory ran out ({first_sentence(error)}), expected more; end other programs, or compute less at a time."
             )
-        elif hasattr(error, "format_message"):  # as the command line's own usage errors have
+        elif hasattr(error, "format_message"):  # usage errors of the command-line library
             code = _complain(_of_usage(error))
         else:
             raise
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is done is done
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is complete
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # the interpreter takes a third of a second to look once more through all that was imported
+    gc.freeze()  # skips a last garbage collection, which takes a third of a second
     if code == exit_code():
-        ending.end(code)  # a program that computes in another thread crashes the interpreter that ends beside it
+        ending.end(code)  # a program in another thread would crash the interpreter at exit
     sys.exit(code)
 
 
 def _of_usage(error: Exception) -> str:
-    """A usage error as one sentence, with the help that tells more."""
+    """Return a usage error as one sentence, with the help command."""
     text = str(error.format_message()).strip()  # type: ignore[attr-defined]
     text = (
         text.replace("Value error, ", "")
@@ -97,7 +98,7 @@ def _of_usage(error: Exception) -> str:
 
 def _exit_interrupted() -> int:
     if not ending.begin():
-        Event().wait()  # another thread says so, and ends the process
+        Event().wait()  # the other thread reports it, and ends the process
     return _complain(interrupts.SENTENCE, exit_code())
 
 

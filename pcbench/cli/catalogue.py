@@ -126,7 +126,7 @@ def accepted_axes(s: Scenario) -> list[str]:
     refused = set() if drifts(s) else {"parameter_drift"}
     if s.sampling.continuous:
         refused |= {*RECORDS["sampling"], *RECORDS["belief"]}
-    if s.loop.controller and s.sampling.prefilled:  # its measurements have one schedule for all runs
+    if s.loop.controller and s.sampling.prefilled:  # its schedule is the same for all runs
         refused |= {*DRAWN, *WITH_DRAWN, "delay_sequence"}
     return [name for name in axes_of(s) if name not in refused]
 

@@ -9,7 +9,7 @@ import typer
 from pcbench.cli import export, lists, new, recordings, report, runs, tuning
 from pcbench.cli.shared import option
 
-ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, and a line of help, 62 letters at most
+ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, and a line of help, 62 characters at most
     "list": (lists.list_, "List observers, scenarios, plants, studies, metrics and more"),
     "guide": (new.guide, "Print a page of the guide, or the list of its pages"),
     "show": (lists.show, "Describe a scenario, or print it as a study file"),

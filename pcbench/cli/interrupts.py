@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: noted, raised, and raised again where a library swallows it; during a compiled call the process ends."""
+"""Ctrl-C and SIGTERM: recorded, raised again if a library suppresses them; during a compiled call the process ends."""
 
 import os
 import signal
@@ -14,18 +14,18 @@ from typing import Any
 from pcbench.runtime import ending
 from pcbench.runtime.progress import Progress
 
-STOPPED = 130  # the exit code of a program that Ctrl-C has ended; SIGTERM: 143
-SOON = 0.05  # [s] until it is tried again
+STOPPED = 130  # exit code after Ctrl-C; SIGTERM: 143
+SOON = 0.05  # [s] until the next attempt
 GRACE = 1.0  # [s] for the main thread to end the process itself
 SENTENCE = "stopped; every file already written is complete."
-CURSOR = "\r\x1b[K\x1b[?25h"  # of a terminal: clear the line of a progress bar, and show the cursor that it hides
+CURSOR = "\r\x1b[K\x1b[?25h"  # terminal codes: clear the line of a progress bar, and show the cursor
 _ASKED: list[int] = []
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """Stop: the handler of SIGINT and SIGTERM; a second SIGTERM ends the process at once.
+    """Raise KeyboardInterrupt: the handler of SIGINT and SIGTERM. A second SIGTERM ends the process at once.
 
-    While an extension module is being loaded it waits: some crash, or raise an error of their own, where Python is interrupted.
+    While an extension module is being loaded the interrupt is postponed: some modules crash if Python is interrupted then.
     """
     _ASKED.append(number)
     if number == signal.SIGTERM:
@@ -38,10 +38,10 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def watch() -> None:
-    """Start a thread that ends the process `GRACE` after Ctrl-C or SIGTERM, if the main thread has not done so by then.
+    """Start a thread that ends the process `GRACE` after Ctrl-C or SIGTERM, unless the main thread does so before.
 
-    Python runs a signal's handler between two instructions of the main thread. During a compiled call there are none, and a
-    call cannot be cancelled, so what waits for one waits until it returns. Files are written to their end before.
+    Python runs a signal handler between two instructions of the main thread. A compiled call has none and cannot be cancelled,
+    so its handler would wait until the call returns. Files are completed before.
     """
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
@@ -50,7 +50,7 @@ def watch() -> None:
 
 
 def _watch(reader: int) -> None:
-    """End the process some time after a signal whose number arrives."""
+    """End the process a fixed time after a signal arrives."""
     number = os.read(reader, 1)[0]
     while number not in (signal.SIGINT, signal.SIGTERM):
         number = os.read(reader, 1)[0]
@@ -72,29 +72,29 @@ def _loads_an_extension(frame: FrameType | None) -> bool:
 
 
 def unraisable(found: Any) -> None:
-    """Report what Python could not raise, as Python does, except a Ctrl-C: that is noted and raised later."""
+    """Report an exception that Python could not raise, as Python does; a Ctrl-C is recorded and raised later instead."""
     if not issubclass(found.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(found)
 
 
 def is_interrupted() -> bool:
-    """Say whether Ctrl-C was pressed."""
+    """Return whether Ctrl-C was pressed."""
     return bool(_ASKED)
 
 
 def exit_code() -> int:
-    """Return the exit code of a program that was stopped: 128 and the number of the signal."""
+    """Return the exit code of an interrupted program: 128 plus the signal number."""
     return 128 + _ASKED[0] if _ASKED else STOPPED
 
 
 def stop_if_asked() -> None:
-    """Raise KeyboardInterrupt where Ctrl-C was pressed and a library has swallowed it."""
+    """Raise KeyboardInterrupt if Ctrl-C was pressed and a library has suppressed it."""
     if is_interrupted():
         raise KeyboardInterrupt
 
 
 def stoppable(progress: Progress) -> Progress:
-    """Return a Progress that hears the same, and stops where Ctrl-C was pressed."""
+    """Return a Progress that also stops if Ctrl-C was pressed."""
 
     def stopping(hear: Callable[..., None]) -> Callable[..., None]:
         def heard(*said: object) -> None:

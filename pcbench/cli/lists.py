@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pcbench.cli.render.tables import Screen
 
 IN_FULL = ("summary", "options", "table", "signals", "unknown", "parameters")  # keys that have their own lines
-LABELS = {"knows_schedule": "perfect start"}  # what a key is called on the screen, if not by its name
+LABELS = {"knows_schedule": "perfect start"}  # printed name of a key, if it differs
 
 
 def list_(
@@ -79,7 +79,7 @@ def show(
         return
     study = parse.outline(scenario, changes or [])
     if parse.names_all(raw_of(scenario, changes or [], parse.FROM_HERE)):
-        from pcbench.planning import all_observers  # with jax: gains are designed
+        from pcbench.planning import all_observers  # imports jax: gains are designed
 
         study = all_observers.outline(scenario, changes or [])
         say(*all_observers.sentences(study.excluded))

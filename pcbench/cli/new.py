@@ -60,7 +60,7 @@ def new(
         raise UserError(f"new {kind}: got '{short(name)}', expected a name of letters, digits and _; write another.")
     paths = [Path(name + suffix) for suffix in FILES[kind]]
     for path in paths:
-        if os.path.exists(path):  # unlike the path's own, it answers for a name that is too long
+        if os.path.exists(path):  # unlike Path.exists, it accepts names that are too long
             raise UserError(f"new {kind}: {path} exists already, expected a new file; give another name.")
     for path in paths:
         if kind == "recording":
@@ -93,7 +93,7 @@ def copy_recording(folder: Path, example: Example) -> None:
 
 
 FOLDER = Path(__file__).parents[1] / "guide"
-GROUPS = {  # the pages by kind, in the order in which they are listed
+GROUPS = {  # the pages by kind, in the order of the list
     "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording", "synchronous-sensors"),
     "How-to guides": (
         *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
@@ -118,7 +118,7 @@ GROUPS = {  # the pages by kind, in the order in which they are listed
         *("wrong-assumptions", "measurement-error-findings", "delay-findings", "reactor-findings", "network-findings"),
         *("five-papers", "the-field", "field-findings"),
     ),
-    "About": ("comparison", "decisions"),  # the decisions' own pages follow
+    "About": ("comparison", "decisions"),  # followed by the pages of the decisions
 }
 
 
@@ -131,7 +131,7 @@ def pages() -> dict[str, Path]:
 
 
 def title(page: str) -> str:
-    """Return a page's title: what follows its first #."""
+    """Return a page's title: the text after its first #."""
     return next(line for line in page.splitlines() if line.startswith("# ")).removeprefix("# ")
 
 
@@ -190,7 +190,7 @@ def check(
     from pcbench.checking.targets import FAILS
     from pcbench.cli.render import gains
 
-    with contextlib.redirect_stdout(sys.stderr):  # what the user's code prints is no part of the answer
+    with contextlib.redirect_stdout(sys.stderr):  # output of user code is not part of the result
         kind, label, on, found = checking.check(target, scenario, given)
     if as_json:
         said = {"kind": kind, kind: label} | ({"scenario": on} if on and kind != "scenario" else {})

@@ -108,7 +108,7 @@ def convert(
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise UserError(f"--out {folder}: is there already, expected a new or empty folder; give another.")
     log = _open(file, delay)
-    survey.survey(log)  # refuses rows and clocks that no run can be fed with
+    survey.survey(log)  # raises UserError for unusable rows and clocks
     delays = None
     if delay is not None and delay.startswith(FROM):
         delays = thinning.delays_of(readers.open_log(delay.removeprefix(FROM)), log.channels)
@@ -122,7 +122,7 @@ def convert(
 
 
 def _open(file: str, delay: str | None) -> "Log":
-    """The log of a file, which needs no arrivals if they are replaced by a delay."""
+    """Return the log of a file; it needs no arrival times if a delay replaces them."""
     from pcbench.recordings import readers
 
     if delay is not None:
@@ -132,7 +132,7 @@ def _open(file: str, delay: str | None) -> "Log":
 
 
 def _seconds(text: str) -> float:
-    """A delay [s]; raise UserError for what is none."""
+    """Return a delay [s]; raise UserError if it is not a number."""
     with suppress(ValueError):
         if 0 <= (number := float(text)) < float("inf"):
             return number

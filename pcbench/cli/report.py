@@ -145,7 +145,7 @@ def tables(
 
 
 def _put(content: str, file: str | None) -> None:
-    """Print a text, or write it into a file, what cannot be printed as its escape."""
+    """Print a text or write it to a file, with unprintable characters escaped."""
     content = printable(content, but="\n")
     if file is None:
         write(content)
@@ -208,7 +208,7 @@ def reproduce(
             folder.claims(title, rows, console())
         return
     if page is not None:
-        storage.make(storage.target(page.parent))  # a folder that cannot be written is said before the work
+        storage.make(storage.target(page.parent))  # an unwritable folder is reported before the work
     with working(quiet or as_json) as progress:
         found = every.claims(progress)
     if page is not None:

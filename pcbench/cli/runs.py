@@ -16,7 +16,10 @@ from pcbench.cli.shared import argument, chosen, console, names, option, out, re
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
-AHEAD = ("scipy.special", "pandas")  # what statistics need, and pyarrow, which looks for pandas before it takes a list
+AHEAD = (
+    "scipy.special",
+    "pandas",
+)  # modules for statistics and output; pyarrow imports pandas when it first converts a list
 SAMPLE = 4  # blocks that are computed again
 
 
@@ -101,7 +104,7 @@ def run(
         from pcbench.report import figures
 
         shown = figures.FigureOptions(metric=metric, signals=where)
-        figures.places(result, list(result.study.scenarios), shown)  # while the user's own code is at hand
+        figures.places(result, list(result.study.scenarios), shown)  # needs the user's code, which is loaded now
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}
@@ -125,7 +128,7 @@ def run(
 
 
 def _importing_ahead(progress: Progress, quiet: bool) -> Progress:
-    """Return a Progress that also imports, once work has begun, the modules that closing and printing need."""
+    """Return a Progress that also imports the modules for closing and printing once work has begun."""
     modules = AHEAD if quiet else (*AHEAD, "pcbench.cli.render.results")
 
     def begin(what: str, steps: int | None) -> None:

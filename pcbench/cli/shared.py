@@ -1,4 +1,4 @@
-"""How commands speak to the user: tables, sentences beside them, progress, in letters that the terminal has."""
+"""Terminal input and output of commands: tables, sentences, progress, options, in characters that the terminal supports."""
 
 import codecs
 import io
@@ -18,12 +18,22 @@ from pcbench.runtime.progress import Progress
 if TYPE_CHECKING:
     from pcbench.cli.render.tables import Screen
 
-PLAIN = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}  # in ASCII
-WIDE = 100  # columns of a table in a file, where COLUMNS says nothing
+PLAIN = {
+    "±": "+-",
+    "…": "...",
+    "–": "-",
+    "·": ".",
+    "µ": "u",
+    "²": "^2",
+    "→": "->",
+    "≤": "<=",
+    "≥": ">=",
+}  # replacements in ASCII
+WIDE = 100  # width of a table in a file, if COLUMNS is not set
 
 
 def speak() -> None:
-    """Let no letter that the terminal's encoding lacks make output fail: it is written in ASCII."""
+    """Replace characters that the terminal's encoding lacks by ASCII, so that output does not fail."""
 
     def in_ascii(error: UnicodeError) -> tuple[str, int]:
         if not isinstance(error, UnicodeEncodeError):
@@ -43,7 +53,7 @@ def say(*sentences: str) -> None:
 
 
 def write(text: str) -> None:
-    """Print a text of several lines as it is, for a program or a file; what no terminal may obey is its escape."""
+    """Print a text of several lines unchanged for a program or a file, with unprintable characters escaped."""
     print(printable(text, but="\n\t"), end="")
 
 
@@ -57,7 +67,7 @@ def write_new(path: Path, text: str, where: str) -> None:
 
 
 def console() -> "Screen":
-    """Return where tables are printed: as wide as the terminal, or as COLUMNS says."""
+    """Return the console for tables, as wide as the terminal or as COLUMNS."""
     from pcbench.cli.render.tables import Screen
 
     wide = os.environ.get("COLUMNS", "")
@@ -74,7 +84,7 @@ def working(quiet: bool, first: str = "") -> Iterator[Progress]:
 
 
 def setup() -> None:
-    """Set jax up for a command that computes: float64, and where traced and compiled programs are kept."""
+    """Set jax up for a command that computes: float64, and the caches of traced and compiled programs."""
     from pcbench.runtime import config, program_store
 
     config.setup()
@@ -94,7 +104,7 @@ def names(text: str) -> list[str]:
 
 
 def chosen(signals: str | None) -> list[str] | None:
-    """Return the signals that are asked for: None where nothing is said, an empty list for all."""
+    """Return the requested signals: None if not given, an empty list for all."""
     return None if signals is None else [] if signals.strip() == "all" else names(signals)
 
 
@@ -108,15 +118,15 @@ def _require_name(out: str | None) -> str | None:
 
 
 def option(text: str, *names: str, **given: Any) -> Any:
-    """Return an option by what its help says of it."""
+    """Return an option with this help text."""
     return typer.Option(*names, help=text, **given)
 
 
 def argument(text: str, **given: Any) -> Any:
-    """Return an argument by what its help says of it."""
+    """Return an argument with this help text."""
     return typer.Argument(help=text, **given)
 
 
 def out(text: str) -> Any:
-    """Return the option that says where a result goes."""
+    """Return the option for the output of a command."""
     return option(text, "--out", "-o", callback=_require_name)

@@ -1,1 +1,1 @@
-"""Observers that live elsewhere: what runs measure as files, and estimates that others made of it as one more observer."""
+"""Observers outside pcbench: export the measurements of runs as files, and import estimates as those of one more observer."""

@@ -1,12 +1,13 @@
-"""A guest: an observer whose estimates were made elsewhere, one run at a time. Its runs are scored, never simulated here.
+"""An external estimator: its estimates are made outside pcbench, one run at a time; pcbench only scores them.
 
-A guest's own process: made anew for each run, and given tick by tick what has arrived. It sees the draws, nothing else.
+This module is also the program of its process. The estimator is constructed for each run and called tick by tick with the
+samples that have arrived. It has access to the exported data only.
 
     python -m pcbench.external.entry DIR MODULE:NAME OUT.parquet
 
-NAME is a function or a class: `make(cell, xhat0)` returns an object whose `step(t, u, arrivals)` returns xhat at t: `cell` is
-an entry of cells.json, `u` [m] the input held since the tick before (zeros at the first), and `arrivals` what has come at this
-tick, the oldest sample first. Mistakes of the guest's end in one sentence and exit code 2.
+NAME is a function or a class: `make(cell, xhat0)` returns an object whose `step(t, u, arrivals)` returns xhat at t. `cell` is
+an entry of cells.json, `u` [m] the input held since the previous tick (zeros at the first), and `arrivals` the samples that
+arrive at this tick, the oldest first. Its errors are reported in one sentence with exit code 2.
 """
 
 import json
@@ -28,17 +29,17 @@ from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 ONE_AT_A_TIME = "guest: one run at a time"
-REFERENCE = "pcbench.external.entry:GUEST"  # by which a study names it
+REFERENCE = "pcbench.external.entry:GUEST"  # its reference in a study
 
 
 class Options(BaseModel):
-    """A guest has no options here: whoever made its estimates had them."""
+    """No options: an external estimator sets its own."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 def design(setting: DesignContext, options: Options) -> Design:
-    """Return no gains: a guest has none here."""
+    """Return empty gains: an external estimator has its own."""
     return Design((), no_certificate(ONE_AT_A_TIME))
 
 
@@ -63,23 +64,23 @@ Floats = NDArray[np.float64]
 
 
 class Guest(Protocol):
-    """What makes the estimates of one run."""
+    """An object that estimates one run."""
 
     def step(self, t: float, u: Floats, arrivals: list["ChannelArrival"], /) -> ArrayLike:
         """Return xhat at t [s]."""
 
 
 class ChannelArrival(NamedTuple):
-    """One sampling instant, of which some channels arrive now; q outputs."""
+    """The channels of one sampling instant that arrive now; q outputs."""
 
     sampled: float  # [s]
-    tick: int  # at which it was taken
-    value: Floats  # [q] NaN where not fresh
+    tick: int  # sampling tick
+    value: Floats  # [q] NaN where `mask` is False
     mask: NDArray[np.bool_]  # [q]
 
 
 def main(folder: str, reference: str, out: str) -> None:
-    """Run a guest on all runs of some draws, one after another, and leave its estimates."""
+    """Run an external estimator on all exported runs, one after another, and write its estimates."""
     draws = Path(folder) / "draws"
     cells = json.loads((draws / "cells.json").read_text())
     tables = {
@@ -91,7 +92,7 @@ def main(folder: str, reference: str, out: str) -> None:
 
 
 def maker(reference: str) -> Callable[..., Guest]:
-    """Return what MODULE:NAME names; raise UserError where that is nothing that can be called."""
+    """Return the object MODULE:NAME; raise UserError if it cannot be called."""
     where = "guest"
     code = user_code.code_of(reference, where)
     module, name = user_code.split(reference, where)
@@ -106,7 +107,7 @@ def maker(reference: str) -> Callable[..., Guest]:
 def of_cell(
     make: Callable[..., Guest], cell: dict[str, Any], tables: Mapping[str, pd.DataFrame], where: str
 ) -> Iterator[pd.DataFrame]:
-    """Yield the estimates of each run of a cell."""
+    """Yield the estimates of each run of a grid point."""
     mine = {
         name: table[(table.scenario == cell["scenario"]) & (table.cell == cell["cell"])]
         for name, table in tables.items()
@@ -124,7 +125,7 @@ def of_cell(
 
 
 def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[ChannelArrival]]:
-    """Return by tick what arrives then, the oldest sampling instant first."""
+    """Return the arrivals by tick, the oldest sampling instant first."""
     out: dict[int, list[ChannelArrival]] = {}
     if samples is None:
         return out
@@ -144,7 +145,7 @@ def of_run(
     coming: dict[int, list[ChannelArrival]],
     where: str,
 ) -> Floats:
-    """Return a guest's estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for what it raises, or returns amiss."""
+    """Return the estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for an exception or an invalid result."""
     out, most = [], len(cell["signals"])
     try:
         guest = make(cell, xhat0.copy())

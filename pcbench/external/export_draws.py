@@ -1,6 +1,6 @@
-"""`pcbench external prepare`: what every run of a study measures and when it arrives, as files that any program reads.
+"""`pcbench external prepare`: the measurements of every run of a study with their arrival times, as files for any program.
 
-Nothing in them says what is true: an estimate made of them cannot have seen it.
+The files do not contain true values, so estimates made from them cannot depend on these.
 """
 
 import json
@@ -104,7 +104,7 @@ scenario, cell, seed, tick, and one per signal, with its name. Then run
 
 
 def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = SILENT) -> storage.Target:
-    """Write the draws of a study into a folder, which is then the study's: its results are made in it, and scored into it.
+    """Write the measurements of a study into a folder, which is also the folder of its results and scores.
 
     With `csv` the tables are written as CSV files in addition to Parquet.
     """
@@ -182,7 +182,7 @@ def _concat_tables(parts: list[dict[str, object]]) -> pa.Table:
 
 
 def _cell(p: Plan) -> dict[str, object]:
-    """What a program should know of a cell: what observers of pcbench are told too."""
+    """Return the design data of a grid point that an external program gets: the same that observers of pcbench use."""
     known, s = setting(p.cell), p.cell.scenario
     Phi, Gamma = linear.one_tick(known.model, known.dt)
     model = {

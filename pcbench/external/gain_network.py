@@ -34,20 +34,20 @@ if TYPE_CHECKING:
     from pcbench.external.entry import ChannelArrival
 
 Function = Callable[[Array], Array]
-LONGEST = 200  # ticks of a run to train on
+LONGEST = 200  # largest number of ticks of a training run
 
 
 class System(NamedTuple):
-    """What the network is trained on; n states, q outputs. A sample is taken at ticks 0, period, 2 period, ..."""
+    """The training system; n states, q outputs. A sample is taken at ticks 0, period, 2 period, ..."""
 
     truth: Function  # x(k) [n] to x(k+1), without noise
-    model: Function  # the same, as the filter has it
+    model: Function  # the filter's model of the same
     output: Function  # x [n] to y [q]
     x0: NDArray[np.float64]  # [n] estimate at tick 0
     spread: NDArray[np.float64]  # [n, n] root of the covariance of x(0)
     process: NDArray[np.float64]  # [n, n] root of the covariance of a tick's process noise
     noise: Callable[[Array, int], Array]  # key, ticks -> [ticks, q] measurement noise
-    scale: NDArray[np.float64]  # [q + n] what e and the last correction are divided by
+    scale: NDArray[np.float64]  # [q + n] scale of e and the last correction
     ticks: int = 100
     period: int = 1  # [ticks]
     delay: int = 0  # [ticks]
@@ -64,10 +64,10 @@ class Network(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What the filter carries from tick to tick."""
+    """The memory of the filter between ticks."""
 
     x: Float[Array, " n"]
-    last: Float[Array, " n"]  # correction
+    last: Float[Array, " n"]  # last correction
     units: Float[Array, " H"]
     outputs: Float[Array, "d+1 q"]  # h of the priors of now and of the last d ticks, d the delay
 
@@ -77,7 +77,7 @@ class Training(NamedTuple):
 
     units: int = 16
     steps: int = 800
-    runs: int = 64  # of a step
+    runs: int = 64  # per step
     rate: float = 1e-2
     seed: int = 0
 
@@ -103,7 +103,7 @@ def begin(system: System, network: Network) -> Memory:
 
 
 def correct(system: System, network: Network, memory: Memory, y: Float[Array, " q"], mask: Array) -> Memory:
-    """Return the memory after a sample that was taken `delay` ticks ago, where `mask` says that one arrives."""
+    """Return the memory after a sample that was taken `delay` ticks ago, if `mask` is true."""
     outputs = jnp.concatenate([system.output(memory.x)[None], memory.outputs[:-1]])
     e = y - outputs[-1]
     W_i = network.W @ (jnp.concatenate([e, memory.last]) / system.scale) + network.b
@@ -116,7 +116,7 @@ def correct(system: System, network: Network, memory: Memory, y: Float[Array, " 
 
 
 def estimates(system: System, network: Network, y: Float[Array, "N q"]) -> Float[Array, "N n"]:
-    """Return the estimates of one run from the measurements at all of its ticks, of which the sampled ones are used."""
+    """Return the estimates of one run from the measurements at all ticks, of which the sampled ones are used."""
 
     def tick(memory: Memory, k: Array) -> tuple[Memory, Array]:
         taken = k - system.delay
@@ -127,7 +127,7 @@ def estimates(system: System, network: Network, y: Float[Array, "N q"]) -> Float
 
 
 def train(system: System, how: Training = TRAINING) -> Network:
-    """Return the network that Adam finds from `how.seed`."""
+    """Return the network trained by Adam from the seed `how.seed`."""
     H, n = how.units, len(system.x0)
     slope = np.asarray(jax.jacfwd(system.output)(jnp.asarray(system.x0)))  # [q, n]
     first, second, third, runs = jax.random.split(jax.random.key(how.seed), 4)
@@ -162,7 +162,7 @@ class LearnedFilter:
     """
 
     def __init__(self, cell: dict[str, Any], xhat0: NDArray[np.float64]) -> None:
-        """Train on the grid point, or find what was trained; raise UserError if channels have clocks or delays of their own."""
+        """Train on the grid point, or load the trained network; raise UserError if channels differ in clock or delay."""
         with config.float64():
             needed = json.dumps(_needed(cell))
             self.system, self.network = _trained(needed)
@@ -196,7 +196,7 @@ def _compiled(system_of: str) -> Callable[..., Memory]:
 
 
 def _needed(cell: dict[str, Any]) -> dict[str, Any]:
-    """Return what training needs of a grid point; raise UserError where it is not linear and of one clock."""
+    """Return the training data of a grid point; raise UserError if it is not linear with one clock."""
     period, delay = set(cell["period"]), set(cell["delay"])
     where = f"{cell['scenario']}, grid point {cell['cell']}"
     if cell["model"]["E"] is not None or cell["unknown_std"]:
@@ -222,7 +222,7 @@ def _system(needed: dict[str, Any]) -> System:
     R, Q, P0 = (np.asarray(needed[name]) for name in ("R", "Q", "P0"))
     q, n = C.shape
     ahead = np.linalg.matrix_power(np.asarray(Phi), needed["period"])
-    size = np.sqrt(np.diag(ahead @ P0 @ ahead.T + needed["period"] * Q))  # of the states' errors between samples
+    size = np.sqrt(np.diag(ahead @ P0 @ ahead.T + needed["period"] * Q))  # std of the states' errors between samples
     e = np.sqrt(np.diag(C @ np.diag(size**2) @ C.T + R))
     root = jnp.sqrt(jnp.diag(jnp.asarray(R)))
     return System(

@@ -1,4 +1,4 @@
-"""The runs of a cell without any observer: where the state is, what is measured, and when it arrives."""
+"""Runs of a grid point without observers: states, measurements and arrival times."""
 
 from collections.abc import Iterator
 from math import isfinite
@@ -19,7 +19,7 @@ from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 
-TOGETHER = 64  # runs that are recorded at a time
+TOGETHER = 64  # runs per call
 Floats = NDArray[np.float64]
 
 
@@ -27,14 +27,14 @@ class Run(NamedTuple):
     """One run, of N ticks."""
 
     seed: int
-    x: Floats  # [N+1, n + s] what is to be estimated
+    x: Floats  # [N+1, n + s] the signals to estimate
     xhat0: Floats  # [n]
     samples: list[common_times.Sample]
     values: Floats  # [samples]
 
 
 def plan_without_observers(cell: Cell) -> Plan:
-    """Return a cell laid out without observers; raise UserError of one that no guest can take part in."""
+    """Return a planned grid point without observers; raise UserError if external estimators cannot take part in it."""
     s = cell.scenario
     if s.loop.controller:
         raise UserError(
@@ -55,7 +55,7 @@ def plan_without_observers(cell: Cell) -> Plan:
 
 
 def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
-    """Yield the runs of a planned cell; every one has the numbers that it has in the simulation, whatever runs beside it."""
+    """Yield the runs of a planned grid point; each has the same numbers as in the simulation."""
     for first in range(0, len(seeds), TOGETHER):
         yield from _some(p, root_seed, seeds[first : first + TOGETHER])
 

@@ -1,8 +1,8 @@
-"""`pcbench external score` and `run`: estimates made elsewhere as one more observer of a study, with the same metrics.
+"""`pcbench external score` and `run`: external estimates as one more observer of a study, with the same metrics.
 
-Estimates are a table with a row for each tick of each run, checked against what a study asks. That one uses nothing that had
-not arrived cannot be seen in it: this is trusted, and said. Metrics are those that the simulation keeps: sums over the same
-windows, the same settling.
+Estimates are a table with one row per tick of each run, checked for completeness. The table cannot show whether an estimate
+uses measurements that had not yet arrived. This is not checked, and a sentence reports it. Metrics are those of the simulation:
+sums over the same windows, with the same settling rule.
 """
 
 import os
@@ -47,9 +47,9 @@ Floats = NDArray[np.float64]
 
 
 def run(folder: str | Path, reference: str, name: str, progress: Progress = SILENT, say: Say | None = None) -> Result:
-    """Run a guest MODULE:NAME on the draws of a folder, and add it to the study's tables; raise UserError for its mistakes.
+    """Run an external estimator MODULE:NAME on the exported runs and add it to the tables; raise UserError for its errors.
 
-    It has a process of its own: what it imports, and what it does to it, is not pcbench's.
+    It runs in its own process, so its imports do not affect pcbench.
     """
     if not (Path(folder) / "draws" / "cells.json").is_file():
         raise UserError(
@@ -73,9 +73,9 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
 def score(
     folder: str | Path, file: str | Path, name: str, progress: Progress = SILENT, say: Say | None = None
 ) -> Result:
-    """Add estimates to a study's tables as the observer `name`; the study's other observers are run where they are missing.
+    """Add estimates to a study's tables as the observer `name`; missing runs of the study's other observers are simulated.
 
-    Raises UserError for a name that is taken, for runs that are missing, and for ticks that are not all there.
+    Raises UserError for a name in use, missing runs, or missing ticks.
     """
     target, where, say = storage.target(folder), short(str(file)), say or (lambda sentence: None)
     with config.float64():
@@ -96,11 +96,11 @@ def score(
             blocks.append((p, _results(p, grid.study.root_seed, seeds, xhat, progress)))
         manifest.begin(target, owned)
         work = task.Work(target.uri, grid.study.name, grid.study.root_seed)
-        for block in block_files.present(target):  # what the guest has left there before
+        for block in block_files.present(target):  # earlier results of this estimator
             if block.observer == name:
                 storage.remove(target, block.name)
         for p, results in blocks:
-            p = p._replace(  # as if it had the guest among its observers
+            p = p._replace(  # with the external estimator among its observers
                 certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
             )
             file_name, rows = task.block(work, p, name, results, seeds)
@@ -110,7 +110,7 @@ def score(
 
 
 def grown(target: storage.Target, name: str) -> Grid:
-    """Return the study of a folder with the guest `name` among its observers; raise UserError where the name cannot be."""
+    """Return the study of a folder with the external estimator `name`; raise UserError for an invalid name."""
     if not LABEL.fullmatch(name) or base_of(name) or user_code.is_reference(name):
         raise UserError(
             f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
@@ -135,13 +135,13 @@ def grown(target: storage.Target, name: str) -> Grid:
 
 
 def _seeds(target: storage.Target, grid: Grid) -> Seeds:
-    """All seeds that the study's other observers have, or are to have."""
+    """Return all seeds that the study's other observers have or will have."""
     named = Seeds(grid.study.first_seed, grid.study.first_seed + grid.study.seeds)
     return Seeds(named.first, max([named.stop, *(b.seeds.stop for b in block_files.present(target))]))
 
 
 def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Progress) -> dict[str, Floats]:
-    """Return the metrics of all runs of a cell, [s, runs], some runs at a time; `xhat` [runs, N, s]."""
+    """Return the metrics of all runs of a grid point, [s, runs], computed in parts; `xhat` [runs, N, s]."""
     parts = []
     for first in range(0, len(xhat), runs.TOGETHER):
         given = xhat[first : first + runs.TOGETHER]
@@ -194,7 +194,7 @@ def _settling(size: Floats, p: Plan) -> SettlingState:
 
 
 def read(file: str | Path) -> pd.DataFrame:
-    """Return the table of a Parquet or CSV file; raise UserError where there is none."""
+    """Return the table of a Parquet or CSV file; raise UserError if it cannot be read."""
     path = Path(file).expanduser()
     try:
         if path.suffix == ".csv":
@@ -210,9 +210,9 @@ def read(file: str | Path) -> pd.DataFrame:
 def sort_by_cell(
     table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None
 ) -> dict[tuple[str, int], pd.DataFrame]:
-    """Return the rows of each cell, in the order of seeds and ticks; of a study of `only` one cell its names may be left out.
+    """Return the rows of each grid point, sorted by seed and tick; with `only` one grid point its columns may be omitted.
 
-    Raises UserError for a column that is missing or holds no numbers.
+    Raises UserError for a column that is missing or not numeric.
     """
     if only:
         table = table.copy()
@@ -241,9 +241,9 @@ def sort_by_cell(
 def estimates_of(
     rows: pd.DataFrame | None, where: str, signals: list[str], seeds: NDArray[np.int64], ticks: int
 ) -> Floats:
-    """Return the estimates of a cell's runs, [seeds, ticks, signals]; raise UserError for runs or ticks that are not all there.
+    """Return the estimates of a grid point's runs, [seeds, ticks, signals]; raise UserError for missing runs or ticks.
 
-    What a plant has of unknowns may be left out, all of it: of the last signals.
+    All unknown inputs or parameters of a plant may be omitted: they are the last signals.
     """
     if rows is None:
         raise UserError(f"{where}: got no rows, expected {len(seeds)} runs of {ticks:,} ticks; estimate them all.")

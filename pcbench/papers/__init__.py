@@ -1,4 +1,4 @@
-"""Each paper's printed numbers and claims against what comes out here, line by line; and those of the field's examples."""
+"""Compare the printed numbers and claims of papers, and of standard examples of the field, with computed results."""
 
 from collections.abc import Callable
 

@@ -1,12 +1,17 @@
-"""The sliding-mode and the PI observer on the arm: Table 2, the printed gains, what is said of them, and samples.
+"""The sliding-mode and the PI observer on the arm: Table 2, printed gains, claims in the text, and sampled measurements.
 
-How an entry of Table 2 (largest and mean absolute errors over 6 <= t <= 10 s of two observers under two unknown inputs) comes
-out: `digits`, the value rounds to the print; `close`, within 1e-3 of it or one unit of its last digit; `band`, the print lies
-between the least and the largest of 64 runs from x(0) (1 + 1e-6 N(0, 1)), since PIO's smallest errors are chatter of the
-integration; `differs`. All but the last are reproduced. Printed gains are compared with the optima of their LMIs by size, as
-signs are lost in the text at hand.
-Source: Peng, Appl. Sci. 2017, 7(1), 67, (4), (22) to (24), (38), (52), sections 4 and 5, Table 2; what it leaves unsaid is in
-`scenarios.arm`. The sampled comparison is ours.
+Table 2 has the largest and mean absolute errors over 6 <= t <= 10 s of two observers under two unknown inputs. An entry is
+
+- `digits`: the value rounds to the printed number
+- `close`: within 1e-3 of it, or one unit of its last digit
+- `band`: it is between the smallest and the largest of 64 runs from x(0) (1 + 1e-6 N(0, 1)), as PIO's smallest errors are
+  chatter of the integration
+- `differs`: none of these
+
+All but the last count as reproduced. Printed gains are compared with the optima of their LMIs by absolute value, as signs are
+missing in the available text.
+Source: Peng, Appl. Sci. 2017, 7(1), 67, (4), (22) to (24), (38), (52), sections 4 and 5, Table 2. Open details are decided in
+`scenarios.arm`. The comparison on samples is not in the paper.
 """
 
 from collections.abc import Iterator
@@ -63,9 +68,9 @@ HOW = {
 AMONG = f"the printed value lies within {STARTS} runs whose initial states differ by 1e-6: chatter of the integration"
 STEADY = {"digits": HOW["close"], "close": HOW["close"], "band": AMONG}  # PIO's last digits are those of its chatter
 WHERE = "reproduce arm"
-NEAR = 2.0  # per cent of the largest entry that a printed gain may be off its optimum: their solver's, not ours
-SHORT_OF = 0.5  # per cent that an objective may be
-ROUNDED = 5e-3  # part of the rate that rounding to four decimals may cost
+NEAR = 2.0  # largest deviation of a printed gain from its optimum, in per cent of the largest entry: their solver's accuracy
+SHORT_OF = 0.5  # largest deviation of an objective, in per cent
+ROUNDED = 5e-3  # relative loss of the rate by rounding to four decimals
 PARTS = {
     "A11": "0 0 3.7500 0.0013",
     "A12": "0 1.0000 3.7500 0",
@@ -77,13 +82,13 @@ LINK = "0 1.0000 3.7500 0.0013"
 
 
 def claims() -> list[Claim]:
-    """Return printed against reproduced, for `pcbench reproduce arm`."""
+    """Return the claims for `pcbench reproduce arm`."""
     with config.float64():
         return [*table_claims(), *gain_claims(), *_findings(), *_compare_on_samples()]
 
 
 def _findings() -> Iterator[Claim]:
-    """What Table 2 compares, and what it does not."""
+    """Yield findings on the content and the limits of Table 2."""
     plant = parts()
     A11b = plant.A11 - smo.PRINTED.L1 @ plant.A211
     signals = list(SIGNALS.values())[:4]
@@ -129,13 +134,13 @@ def _findings() -> Iterator[Claim]:
 
 
 def _just_after(falls: pd.DataFrame, tau: float) -> float:
-    """PIO's error of d at a jump."""
+    """Return PIO's error of d just after a jump."""
     row = falls.iloc[int(np.argmin(np.abs(falls.t.to_numpy() - tau)))]
     return float(abs(row["input"] - row["pio.input"]))
 
 
 def _compare_columns() -> Iterator[Claim]:
-    """Section 5: under d1 PIO is said to be better; column by column."""
+    """Section 5 states that PIO is better under d1; yield one claim per column."""
     for what in METRICS:
         size = {o: {x: entry("d1", o, x, what) for x in SIGNALS} for o in ("smo", "pio")}
         lower = {x: size["pio"][x] < size["smo"][x] for x in SIGNALS}
@@ -145,7 +150,7 @@ def _compare_columns() -> Iterator[Claim]:
 
 
 def _chatter(dt: float) -> float:
-    """PIO's largest error of x3 from 6 s on, integrated with another step."""
+    """Return PIO's largest error of x3 from 6 s on, integrated with another step."""
     base = SCENARIOS["arm/sine"]
     one = base.having(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
@@ -155,7 +160,7 @@ def _chatter(dt: float) -> float:
 
 
 def _compare_on_samples() -> Iterator[Claim]:
-    """What remains of the comparison on samples: root-mean-square error of link velocity from 6 s on."""
+    """Yield the comparison on samples: root-mean-square error of link velocity from 6 s on."""
     four = ["smo", "pio", "smo-hold", "pio-hold"]
     quiet = {"delay": [0.0], "noise_std": [0.0], "sampling_period": [0.01, 0.2]}
     rows = api.run("arm/sampled", observers=four, seeds=1, axes=quiet).runs.query("signal == 'link_velocity'")
@@ -180,7 +185,7 @@ def _compare_on_samples() -> Iterator[Claim]:
 
 
 def _rms(stats: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
-    """Root-mean-square error of link velocity over the tail and all runs, and half its interval, by observer."""
+    """Return the root-mean-square error of link velocity over the tail and all runs, and half its interval, by observer."""
     rows = stats.query("signal == 'link_velocity' and metric == 'steady_pooled_rmse'")
     names = [str(name) for name in rows.observer]
     return dict(zip(names, rows["mean"], strict=True)), dict(zip(names, (rows.ci_high - rows.ci_low) / 2, strict=True))
@@ -208,19 +213,19 @@ def table_claims() -> list[Claim]:
 
 @cache
 def nominal() -> pd.DataFrame:
-    """Return the runs that Table 2 is about, one of each."""
+    """Return the runs of Table 2, one of each."""
     study = {"name": "table-2", "scenarios": list(INPUTS.values())}
     return api.run(study, observers=["smo", "pio"], seeds=1).runs
 
 
 def entry(force: str, observer: str, x: str, what: str) -> float:
-    """Return an entry of Table 2 as it comes out."""
+    """Return the computed value of an entry of Table 2."""
     (value,) = _column(nominal(), force, observer, SIGNALS[x], what)
     return float(value)
 
 
 def judge(printed: str, value: float, low: float, high: float) -> str:
-    """Return how closely a printed decimal number comes out."""
+    """Return how closely a computed value agrees with a printed decimal number."""
     if rounds_to(printed, value):
         return "digits"
     if abs(value - float(printed)) <= max(CLOSE * float(printed), unit(printed) * (1 + 1e-9)):
@@ -234,17 +239,17 @@ def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, what: st
 
 
 def gain_claims() -> list[Claim]:
-    """Return the printed gains and constants against what comes out."""
+    """Return the claims on printed gains and constants."""
     return [*_printed_parts(), *_gains(), *_constants()]
 
 
 def parts() -> Split:
-    """Return the arm in the coordinates that its unknown input reaches last."""
+    """Return the arm in coordinates in which the unknown input acts on the last state."""
     return split(arm.nominal(arm.Numbers()), WHERE)
 
 
 def _gains() -> Iterator[Claim]:
-    """The printed gains, what they prove, and the optima of the LMIs that they are said to be."""
+    """Yield claims on the printed gains, their certificates, and the optima of their LMIs."""
     plant = parts()
     best, proof = sliding_mode.solve(plant, 1.0, WHERE), sliding_mode.certify(smo.PRINTED, plant).numbers
     yield _objective("SMO gains: least r of (23), (24)", proof["r"], best.r)
@@ -270,7 +275,7 @@ def _objective(claim: str, printed: float, best: float) -> Claim:
 
 
 def _compare_matrix(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
-    """A printed matrix beside the optimum, with how far it is off in parts of its largest entry."""
+    """Return the claim that a printed matrix is the optimum, with the deviation relative to its largest entry."""
     off = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
     text = f"{_entries(best)} at the optimum: {off:.1f} % off, within a solver's default accuracy"
     return statement(claim, _entries(printed, 5), text, bool(off < NEAR))
@@ -281,7 +286,7 @@ def _entries(M: ArrayLike, many: int = 4) -> str:
 
 
 def _printed_parts() -> Iterator[Claim]:
-    """The arm in the coordinates of (4), as printed after its signs were lost."""
+    """Yield claims on the arm in the coordinates of (4), as printed without signs."""
     plant = parts()
     for name, printed in PARTS.items():
         words, values = printed.split(), np.abs(np.asarray(getattr(plant, name))).ravel()
@@ -303,7 +308,7 @@ def _printed_parts() -> Iterator[Claim]:
 
 
 def _constants() -> Iterator[Claim]:
-    """What the paper says of its robust terms, and the modes with both sensors on the link."""
+    """Yield claims on the robust terms, and on the modes with both sensors on the link."""
     delta = arm.Numbers().M * arm.Numbers().g * arm.Numbers().l / arm.Numbers().J
     left = {name: 1 - delta - size for name, size in (("d1", 0.25), ("d2", 0.35))}
     text = f"{1 - delta:.2f} without d; {left['d1']:.2f} with d1, {left['d2']:.2f} with d2"

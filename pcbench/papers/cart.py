@@ -1,8 +1,8 @@
-"""The mobile cart: every printed gain, the claims of section 6, the theorem and the integral, and what does not reproduce.
+"""The mobile cart: printed gains, the claims of section 6, the theorem and the integral, and what does not reproduce.
 
-Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017). The paper prints gains and claims in words; its
-error values stand only in figures. All numbers below are computed anew. (7), (8a), (23), Remarks 1 and 3 are re-checked in
-NumPy, sampled every te with d = te.
+Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017). The paper prints gains and states claims in words; its
+error values appear only in figures. All numbers below are computed here. (7), (8a), (23), Remarks 1 and 3 are checked in NumPy,
+sampled every te with d = te.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ SCALES = {"cart/nominal": "4.9499", "cart/slow": "4.9502"}
 
 
 def claims() -> list[Claim]:
-    """Return printed against reproduced, for `pcbench reproduce cart`."""
+    """Return the claims for `pcbench reproduce cart`."""
     with config.float64():
         return [
             *_gains(),
@@ -97,7 +97,7 @@ def _ordering() -> Iterator[Claim]:
 
 
 def _under_noise() -> Iterator[Claim]:
-    """Once the start is forgotten the order turns; and how far either is from what the measurements would allow."""
+    """Yield claims under noise after the transient, where the order is reversed, and the ratio to the Kalman bound."""
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "kf"], seeds=SEEDS)
     late = SCENARIOS["cart/gaussian"].having(
         duration=43.142, steady_start=40.0
@@ -132,7 +132,7 @@ def _misprints() -> Iterator[Claim]:
 
 
 def _open() -> Iterator[Claim]:
-    """What the paper does not say, and what depends on it; velocity."""
+    """Yield results that depend on details missing in the paper; velocity."""
     sections = ["cart/gaussian", "cart/gaussian-fast"]
     both = api.run(Study(name="te", scenarios=sections, observers=["pccebo", "kfbo"], seeds=SEEDS)).stats
     fast = "; ".join(
@@ -169,7 +169,7 @@ def _drifting(sign: int) -> pd.DataFrame:
 
 
 def _values(stats: pd.DataFrame, scenario: str, signal: str, metric: str) -> np.ndarray:
-    """Means of pccebo and kfbo."""
+    """Return the means of pccebo and kfbo."""
     rows = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.metric == metric)]
     return rows.set_index("observer")["mean"].loc[["pccebo", "kfbo"]].to_numpy()
 
@@ -184,7 +184,7 @@ def _row(values: np.ndarray) -> str:
 
 
 def theorem() -> Iterator[Claim]:
-    """Return what is printed of the inequality (23), and what it can and cannot guarantee."""
+    """Yield claims on the inequality (23), and on its guarantee."""
     for scenario, printed in SCALES.items():
         te, P = SCENARIOS[scenario].sampling.sampling_period[0], float(printed) * np.eye(2)
         Y = float(printed) * C.T
@@ -218,7 +218,7 @@ def transition(t: float) -> np.ndarray:
 
 
 def _slower() -> Claim:
-    """Remark 3: with R the slow pole of A - K C moves to the origin."""
+    """Return the claim of Remark 3: as R grows the slow pole of A - K C moves to the origin."""
     rates = {}
     for R in (0.004, 0.3, 1.0):
         K1 = -LAM + np.sqrt(LAM**2 + 2 * B * np.sqrt(0.002 / R))
@@ -229,9 +229,9 @@ def _slower() -> Claim:
 
 
 def held_over_a_period(te: float = 0.2, horizon: float = 10.0) -> float:
-    """Return PCCEBO's largest position error [m] from 1 s on where (8a) holds the input over a period, as it is written.
+    """Return PCCEBO's largest position error [m] from 1 s on if (8a) holds the input over a period, as printed.
 
-    With L = [1, 0]' the sampled position is exact; the velocity's error of a period's end shows until the next arrival.
+    With L = [1, 0]' the sampled position is exact. The velocity error at the end of a period is visible until the next arrival.
     """
     ticks, dt = round(te / 1e-3), 1e-3
     u = np.array([10 * (1 - 2 * (k * dt / pi % 1.0)) for k in range(round(horizon / dt) + 1)])

@@ -1,9 +1,9 @@
-"""The chain observer's three claims, on the plant as printed and as it can be, what noise does to them, and its printed design.
+"""The chain observer's three claims on the printed and on the physical plant, the effect of noise, and its printed design.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5 and Remark 2. Signs are lost in the text at hand and T is printed to
-two or three digits, so magnitudes are compared, within 6 % or half a unit of the last printed digit. The design follows from
-the printed T by (8): L = (T A^d - G T) inv(C), H_i = T A^i B; Q_j = C A^(j-1) B; of V the entries that do not depend on signs,
-of C A^d inv(C).
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5 and Remark 2. Signs are missing in the available text, and T is
+printed to two or three digits. So absolute values are compared, within 6 % or half a unit of the last printed digit. The design
+follows from the printed T by (8): L = (T A^d - G T) inv(C), H_i = T A^i B, Q_j = C A^(j-1) B. Of V = C A^d inv(C), only the
+entries that do not depend on signs are compared.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ PLANTS = (
 )
 STATES = [name for name, _ in csth.SIGNALS]
 CLOSE = 0.06
-# By chain: d, T, the other matrices row by row, entries of V; chain 3 is said to be the same as chain 1.
+# By chain: d, T, the other matrices row by row, entries of V; chain 3 is stated to equal chain 1.
 PRINTED: dict[int, tuple[int, str, dict[str, str], dict[tuple[int, int], str]]] = {
     1: (
         2,
@@ -56,17 +56,17 @@ PRINTED: dict[int, tuple[int, str, dict[str, str], dict[tuple[int, int], str]]] 
         {(1, 0): "2.6e-8", (1, 1): "2.1e-7", (2, 2): "1.7e-9"},
     ),
 }
-GARBLED = {(1, "H0", 0): "6.21.6e-3", (2, "L", 8): "1 x 9"}  # as they stand in the text, for what is read above
+GARBLED = {(1, "H0", 0): "6.21.6e-3", (2, "L", 8): "1 x 9"}  # as in the text, for the values used above
 
 
 def claims() -> list[Claim]:
-    """Return printed against reproduced, for `pcbench reproduce chain`."""
+    """Return the claims for `pcbench reproduce chain`."""
     with config.float64():
         return [*design_claims(), *_remark_2(), *_remark_3(), *_claims(), *_noise()]
 
 
 def _remark_2() -> Iterator[Claim]:
-    """A_0 = 0: x(k+1) = 0.6 x(k-1) + 0.6 x(k-2), made A_0 = diag(0, 0.6), A_2 = diag(0.6, 0) as printed, P = I."""
+    """Yield the claim on A_0 = 0: x(k+1) = 0.6 x(k-1) + 0.6 x(k-2), with A_0 = diag(0, 0.6), A_2 = diag(0.6, 0), P = I."""
     grows = np.abs(np.roots([1, 0, -0.6, -0.6])).max()
     e = 1.0  # of (22): the norms are equal and there is one delayed term
     left = (1 + e) * 0.6**2 - 1, (1 + 1 / e) * 0.6**2 - 1
@@ -77,7 +77,7 @@ def _remark_2() -> Iterator[Claim]:
 
 
 def _remark_3() -> Iterator[Claim]:
-    """Remark 3: what the poles and the delays do; and chain 3, said to be chain 1."""
+    """Yield claims of Remark 3 on the effect of poles and delays; chain 3 is stated to equal chain 1."""
     tau = [to_ticks(float(d), SCENARIOS["csth/10s"]) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
@@ -99,19 +99,19 @@ def _remark_3() -> Iterator[Claim]:
 
 
 def _rate(changes: dict[str, object]) -> float:
-    """The chain's spectral radius per sample where the study is changed so."""
+    """Return the chain's spectral radius per sample in a changed study."""
     study = {"name": "rate", "scenarios": ["csth/10s"]} | changes
     return float(api.design(study, "chain").certificate.numbers["radius_of_one_sample"])
 
 
 def _largest(study: dict[str, object]) -> float:
-    """The chain's largest error of enthalpy [J]."""
+    """Return the chain's largest error of enthalpy [J]."""
     trace = api.simulate(study, ["chain"])
     return float((trace["enthalpy"] - trace["chain.enthalpy"]).abs().max())
 
 
 def _claims() -> Iterator[Claim]:
-    """The three claims, on the plant as printed (`literal`) and made consistent (`1s`, `10s`)."""
+    """Yield the three claims, on the plant as printed (`literal`) and made consistent (`1s`, `10s`)."""
     methods = ["chain", "equal-delay", "no-delay", "no-delay-plain", "model-only"]
     for scenario, what in PLANTS:
         study = {"name": "claims", "scenarios": [scenario], "options": {"no-delay-plain": {"variant": "plain"}}}
@@ -150,7 +150,7 @@ def _small(joule: float) -> str:
 
 
 def _noise() -> Iterator[Claim]:
-    """What the paper leaves out: noise. Least possible over actual root-mean-square error of enthalpy, samples 100 to 300."""
+    """Yield findings under noise: Kalman bound over root-mean-square error of enthalpy, samples 100 to 300."""
     result = api.run("csth/10s-noise", observers=["chain", "chain-riccati"], seeds=SEEDS)
     rows = result.stats.query("signal == 'enthalpy' and metric == 'rms_efficiency'").set_index("observer")
     for name, what in (("chain", "printed poles"), ("chain-riccati", "Riccati gains, deadbeat outputs")):
@@ -160,12 +160,12 @@ def _noise() -> Iterator[Claim]:
 
 
 def design_claims() -> list[Claim]:
-    """Return the printed design against what follows from it."""
+    """Return the claims on the printed design."""
     return [*_entries(), *_misprints(), *_list_undetermined()]
 
 
 def design_chain(d: int, T_printed: str) -> dict[str, Matrix]:
-    """Return L, H_i, Q_j and V of a chain that follow from its printed T on the plant as printed."""
+    """Return L, H_i, Q_j and V of a chain, computed from its printed T on the plant as printed."""
     A, B, C, *_ = csth.nominal(csth.Numbers(literal=True))
     power = np.linalg.matrix_power
     T, G = np.array(T_printed.split(), float).reshape(3, 3), chain.companion(1e-4, 3)
@@ -175,7 +175,7 @@ def design_chain(d: int, T_printed: str) -> dict[str, Matrix]:
 
 
 def close(word: str, value: float) -> bool:
-    """Say whether a printed magnitude is a value's, within 6 % or half a unit of its last digit."""
+    """Return whether a printed absolute value equals a value, within 6 % or half a unit of its last digit."""
     return abs(abs(value) - float(word)) <= max(CLOSE * float(word), 0.5 * unit(word))
 
 
@@ -196,7 +196,7 @@ def _entries() -> Iterator[Claim]:
 
 
 def _misprints() -> Iterator[Claim]:
-    """What the print contradicts itself in."""
+    """Yield the contradictions in the printed text."""
     wrong = np.abs(np.roots([1, -3e-4, 3e-8, -1e-2])).max()
     poles = f"1e-12: only this value gives three poles at 1e-4 (1e-2 has one of size {wrong:.3f})"
     heater = f"{csth.Numbers().mc:.9g}: Q1 = C B prints 30411.5"
@@ -206,7 +206,7 @@ def _misprints() -> Iterator[Claim]:
 
 
 def _feedthrough() -> str:
-    """Which coefficients of (9) predict y exactly: a plant with D, xhat exact, one link."""
+    """Return which coefficients of (9) predict y exactly: a plant with D, xhat exact, one link."""
     rng = np.random.default_rng(5)
     A, B, C, D, V = (rng.standard_normal(shape) for shape in [(3, 3), (3, 1), (2, 3), (2, 1), (2, 2)])
     x, u = rng.standard_normal(3), rng.standard_normal((2, 1))

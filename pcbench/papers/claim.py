@@ -1,9 +1,13 @@
-"""One line of a reproduction: a claim or a printed number, what comes out, and the verdict.
+"""One line of a reproduction: a claim or a printed number, the computed result, and the verdict.
 
-Verdicts are four. `reproduced`: it comes out, and the evidence says how closely. `misprint`: another reading comes out, the
-printed one does not. `does not hold`: it was computed as the paper says, and is not so. `not determinable`: the paper does not
-say enough to compute it. What is in no paper is a `finding`: ours, without a verdict, counted apart. A number whose source
-nobody could read is `not obtained`, without a verdict too.
+The four verdicts:
+
+- `reproduced`: the result agrees; the evidence shows how closely
+- `misprint`: another reading agrees, the printed one does not
+- `does not hold`: computed as in the paper, the claim is false
+- `not determinable`: the paper does not contain enough to compute it
+
+Without a verdict are a `finding`, a result that no paper contains, and `not obtained`, a number whose source could not be read.
 """
 
 import re
@@ -24,34 +28,34 @@ NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
 class Claim(NamedTuple):
-    """What a paper says, what comes out, and the verdict."""
+    """A claim of a paper, the computed result, and the verdict."""
 
     claim: str
     printed: str
     reproduced: str  # the evidence
     verdict: str  # one of VERDICTS, FINDING or NOT_OBTAINED
-    steady: str = ""  # the evidence in a page that stands: given where digits depend on the last bits of a machine
-    source: str = ""  # the source and the mark of the number, where a collection has several sources
+    steady: str = ""  # the evidence in REPRODUCTION.md, if digits depend on the machine
+    source: str = ""  # source and mark of the number, in a collection with several sources
 
 
 def counts(rows: Iterable[Claim]) -> dict[str, int]:
-    """Count verdicts, each of them named, then findings and numbers that were not obtained."""
+    """Return the counts of each verdict, then of findings and of numbers that were not obtained."""
     found = Counter(row.verdict for row in rows)
     return {name: found[name] for name in (*VERDICTS, FINDING, NOT_OBTAINED)}
 
 
 def report_finding(what: str, text: str, steady: str = "") -> Claim:
-    """Return something that the paper does not say."""
+    """Return a result that the paper does not contain."""
     return Claim(what, OURS, text, FINDING, steady)
 
 
 def statement(claim: str, printed: str, reproduced: str, true: bool, steady: str = "") -> Claim:
-    """Say whether a claim in words comes out."""
+    """Return the claim in words with its verdict."""
     return Claim(claim, printed, reproduced, REPRODUCED if true else FALSE, steady)
 
 
 def digits(claim: str, printed: str, value: float, failed: str = FALSE) -> Claim:
-    """Compare a printed decimal number with a value rounded to as many decimals."""
+    """Return the comparison of a printed decimal number with a value rounded to as many decimals."""
     many = len(printed.replace("-", "").replace(".", "").lstrip("0"))
     same = rounds_to(printed, value)
     how = f"to {many} digits" if many else "zero to every decimal"
@@ -60,7 +64,7 @@ def digits(claim: str, printed: str, value: float, failed: str = FALSE) -> Claim
 
 
 def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", failed: str = FALSE) -> Claim:
-    """Compare every number of a printed text with a value, as `digits` does; a complex value counts as two numbers."""
+    """Return the comparison of every number of a printed text with a value, as in `digits`; a complex value counts as two."""
     want, found = NUMBER.findall(printed), np.atleast_1d(np.asarray(values)).ravel()
     if np.iscomplexobj(found):
         found = np.array([part for z in found for part in ((z.real, z.imag) if z.imag else (z.real,))])
@@ -74,16 +78,16 @@ def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", fa
 
 
 def rounds_to(printed: str, value: float) -> bool:
-    """Say whether a value rounds to a printed decimal number, to half a unit of its last digit."""
+    """Return whether a value rounds to a printed decimal number, to half a unit of its last digit."""
     return abs(value - float(printed)) <= 0.5 * unit(printed) * (1 + 1e-9)
 
 
 def unit(printed: str) -> float:
-    """Return what the last digit of a printed decimal number counts."""
+    """Return the unit of the last digit of a printed decimal number."""
     return 10.0 ** -decimals(printed)
 
 
 def decimals(printed: str) -> int:
-    """Return the place of the last digit of a printed decimal number: 2 of 0.25, -1 of 3e1."""
+    """Return the position of the last digit of a printed decimal number: 2 for 0.25, -1 for 3e1."""
     decimal, _, exponent = printed.partition("e")
     return len(decimal.partition(".")[2]) - int(exponent or 0)

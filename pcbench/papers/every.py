@@ -1,4 +1,4 @@
-"""All papers and the field at once: one process each, as many at a time as there are cores."""
+"""All papers and the field: one process each, as many in parallel as there are cores."""
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -16,14 +16,14 @@ LONGEST_FIRST = (
     "pi-pco",
     "chain",
     "cart",
-)  # measured; only how long it takes depends on it
+)  # measured; affects only the duration
 
 
 def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
     """Return the claims of every paper, in the order of PAPERS."""
     names = sorted(PAPERS, key=lambda name: LONGEST_FIRST.index(name) if name in LONGEST_FIRST else -1)
     progress.begin("papers", len(names))
-    fresh = multiprocessing.get_context("spawn")  # a forked process has jax's threads in an unknown state
+    fresh = multiprocessing.get_context("spawn")  # a forked process would inherit jax's threads in an undefined state
     found = {}
     with ProcessPoolExecutor(min(len(names), runner.cores()), fresh) as pool:
         waiting = {pool.submit(of, name): name for name in names}
@@ -38,6 +38,6 @@ def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
 
 
 def of(paper: str) -> list[Claim]:
-    """Return the claims of one paper, in a process that is pcbench's own."""
+    """Return the claims of one paper, computed in a process of pcbench."""
     config.setup()
     return PAPERS[paper][1]()

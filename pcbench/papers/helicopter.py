@@ -1,8 +1,8 @@
-"""The high-gain observer on the helicopter: its claims with both delays, what misprints do, and what else there is to know.
+"""The high-gain observer on the helicopter: its claims with both delays, the effect of misprints, and further findings.
 
-Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5. The paper prints no numbers beside its figures;
-random starts, noise, the filter and the controller's options are ours.
-Single runs are recorded one by one, and those of the observer as its text reads without minus signs.
+Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5. The paper prints figures without numbers. Random
+initial states, noise, the filter and the controller's options are decided here. Single runs are recorded one by one, as are
+those of the observer as printed without minus signs.
 """
 
 from collections.abc import Iterator
@@ -52,7 +52,7 @@ CASES: dict[str, tuple[str, str, TomlTable, TomlTable]] = {  # name: scenario, o
     "heavy": ("constant", "high-gain-robust", {}, {"m": 1.1 * helicopter.Numbers().m}),
     "heavy, ekf": ("constant", "ekf", {}, {"m": 1.1 * helicopter.Numbers().m}),
 }
-MISPRINTS = {  # how the text reads without its minus signs, or as printed: (alpha_1, products in f_1, innovation, history)
+MISPRINTS = {  # the printed text without its minus signs: (alpha_1, products in f_1, innovation, history)
     "alpha_1 with the yaw rate, as printed": (1.0, 1.0, 1.0, 1.0),
     "f_1 with + m l^2 sin cos psi'^2": (0.0, -1.0, 1.0, 1.0),
     "innovation with the opposite sign": (0.0, 1.0, -1.0, 1.0),
@@ -67,37 +67,37 @@ class Flight:
         self.x, self.z, self.target = (np.asarray(a) for a in (out.x, next(iter(out.estimates.values())), out.target))
 
     def rms(self, what: np.ndarray, start: int = TAIL) -> np.ndarray:
-        """Root of the mean square from a tick on, tick N left out."""
+        """Return the root mean square from a tick on, without tick N."""
         return np.sqrt((what[start:-1] ** 2).mean(0))
 
     @property
     def diverged(self) -> float:
-        """Return when the error left the bound [s]; NaN: never."""
+        """Return the time at which the error exceeded the divergence threshold [s]; NaN: never."""
         bad = ~(np.abs(self.x - self.z).max(1) <= 1e6)
         return float(np.argmax(bad) * 1e-3) if bad.any() else float("nan")
 
     @property
     def off(self) -> np.ndarray:
-        """Return the rms of set point less angles in the tail [rad]."""
+        """Return the rms of set point minus angles in the tail [rad]."""
         return self.rms(self.target - self.x[:, :2])
 
     @property
     def within(self) -> np.ndarray:
-        """Return when each viscosity was last more than 5 % off [s]."""
+        """Return the last time at which each viscosity was more than 5 % off [s]."""
         outside = ~(np.abs(self.z[:-1, 4:] - VISCOSITY) <= 0.05 * VISCOSITY)
         last = np.where(outside.any(0), len(outside) - np.argmax(outside[::-1], 0), 0)
         return np.where(last >= len(outside), np.inf, last * 1e-3)
 
 
 def claims() -> list[Claim]:
-    """Return printed against reproduced, for `pcbench reproduce helicopter`."""
+    """Return the claims for `pcbench reproduce helicopter`."""
     with config.float64():
         runs = record()
         return [*_check_simulations(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
 
 def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
-    """What the paper's two simulations are said to show."""
+    """Yield the claims on the paper's two simulations."""
     for name, what in (("constant", "constant delay"), ("varying", "varying delay")):
         run = runs[name]
         B, times = run.z[-1, 4:], run.within
@@ -131,7 +131,7 @@ def _check_simulations(runs: dict[str, Flight]) -> Iterator[Claim]:
 
 
 def _misread() -> Iterator[Claim]:
-    """Take the text as it stands, one reading at a time."""
+    """Yield the results of each reading of the printed text, one at a time."""
     for what, run in misread().items():
         lost, B = run.diverged, run.z[-1, 4:]
         text = f"viscosities {B[0]:.3f}, {B[1]:.3f} at 20 s" if isnan(lost) else f"diverges at {lost:.2f} s"
@@ -142,7 +142,7 @@ def _misread() -> Iterator[Claim]:
 
 
 def _control(runs: dict[str, Flight]) -> Iterator[Claim]:
-    """What the loop is limited by."""
+    """Yield findings on the limits of the loop."""
     full = max(runs[name].off.max() for name in ("full", "full, varying"))
     lost, kept = runs["still"].diverged, isnan(runs["still, true"].diverged)
     still = ("converges" if isnan(lost) else f"diverges at {lost:.2f} s") + (
@@ -172,7 +172,7 @@ def _rows(frame: pd.DataFrame) -> list[Row]:
 
 
 def _starts() -> list[Claim]:
-    """How often the observer diverges from random starts, by the sampling period."""
+    """Return how often the observer diverges from random initial states, by sampling period."""
     axes = {"sampling_period": [0.05, 0.2, 0.8, 1.5]}
     done = api.run("helicopter/constant", observers=list(NAMES), seeds=SEEDS, axes=axes, options=RANDOM)
     unsettled = done.runs[done.runs.signal.str.endswith("viscosity")].query("status == 'unsettled'")
@@ -190,7 +190,7 @@ def _starts() -> list[Claim]:
 
 
 def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
-    """The filter beside the observer, under noise and without."""
+    """Yield the comparison of observer and filter, with noise and without."""
     names, stds = ["high-gain-robust", "ekf"], [5e-4, 2e-2]
     done = api.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)
     rows = _rows(done.stats.query("metric == 'steady_pooled_rmse'"))
@@ -209,7 +209,7 @@ def _noise(runs: dict[str, Flight]) -> Iterator[Claim]:
 
 
 def record() -> dict[str, Flight]:
-    """Run every case once, all of one shape."""
+    """Return the recording of every case, all of one shape."""
     drafts = [_draft(*CASES[name]) for name in CASES]
     return {name: Flight(_record_trajectory(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
@@ -227,7 +227,7 @@ def _record_trajectory(p: Plan) -> trajectory.Recording:
 
 
 def _literal(params: helicopter.Params, read: Array, u: Array, x: Array) -> tuple[Array, Array]:
-    """The parts of the plant with the misprints that `read` says."""
+    """Return the parts of the plant with the misprints in `read`."""
     a, phi = helicopter.parts(params, u, x)
     M = helicopter.inertia(params, x[0])
     cross = params.ml2 * jnp.sin(x[0]) * jnp.cos(x[0]) * x[3] ** 2 / M[0]
@@ -236,7 +236,7 @@ def _literal(params: helicopter.Params, read: Array, u: Array, x: Array) -> tupl
 
 
 def _jump(gains: high_gain.Gains, memory: high_gain.Memory, now: Now, arrival: Arrival) -> high_gain.Memory:
-    """The observer's jump with the signs of the innovation that its parts carry."""
+    """Return the observer's memory after a jump, with the signs of the innovation in its parts."""
     read = gains.parts.args[1]
     snapshot = arrival.snapshot[:2] + (1 - read[3]) * arrival.snapshot[2:]
     jumped = high_gain.jump(gains, memory, now, arrival._replace(snapshot=snapshot))
@@ -249,7 +249,7 @@ def _note(gains: high_gain.Gains, memory: high_gain.Memory, now: Now) -> Array:
 
 
 def misread() -> dict[str, Flight]:
-    """Run the printed observer as restored, and with one misprint at a time; all in one program."""
+    """Return the runs of the restored observer, and of one misprint at a time, from one program."""
     (p,) = padding.fit([_draft(*CASES["constant"])])
     observer = high_gain.OBSERVER._replace(snapshot=_note, jump=_jump)
     layout = p.layout._replace(observers=(("high-gain", observer),))

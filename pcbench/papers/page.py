@@ -1,7 +1,6 @@
-"""REPRODUCTION.md: every claim with its verdict and its evidence, as a page that is the same wherever it is made.
+"""REPRODUCTION.md: every claim with its verdict and its evidence, in a page that does not depend on machine or date.
 
-Nothing in it depends on the day, the machine or how long anything took; where digits of the evidence do, a claim brings a
-`steady` text for the page.
+If digits of the evidence depend on the machine, the claim has a `steady` text for the page.
 """
 
 from pcbench.papers import PAPERS
@@ -66,7 +65,7 @@ def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
 
 
 def _cell(text: str) -> str:
-    """A text as it reads the same in Markdown: no bar ends a cell, nothing is taken for emphasis."""
+    """Return a text escaped for a Markdown cell: no bar ends the cell, and nothing is emphasis."""
     for mark in "\\|*_<":
         text = text.replace(mark, "\\" + mark)
     return text

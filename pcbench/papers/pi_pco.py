@@ -1,18 +1,20 @@
-"""PCO and PI-PCO under variable sampling: where the integral helps against noise, in closed form and by Monte Carlo.
+"""PCO and PI-PCO under variable sampling: when the integral reduces the effect of noise, in closed form and by Monte Carlo.
 
 Source: Li, Wang, Tian, PI Piecewise Continuous Observer. The paper prints no gain and no error value, only figures and that
-PI-PCO "shows better performances" under noise of variance 0.001. On the cart with intervals of 0.1 s and more e^{-lam T} is
-nothing and A12 constant, so with F = A22 - Kp A12, k = Ki A12 and noise v of variance sigma^2 the position error r obeys
+PI-PCO "shows better performances" under noise of variance 0.001. On the cart with intervals of 0.1 s and more, e^{-lam T} is
+negligible and A12 constant. With F = A22 - Kp A12, k = Ki A12 and noise v of variance sigma^2 the position error r satisfies
 
     r_i = F r_(i-1) - l_(i-1) - (1 - F) v_i,   l_i = l_(i-1) + k (r_(i-1) + v_i);  stable iff k > 0, F + k < 1, 2 + 2F + k > 0
     var r / sigma^2 = (1 - F) / (1 + F) for PCO (k = 0), else (2F^2 + 3Fk - 4F + k^2 - k + 2) / ((1 - F - k)(2F + k + 2))
 
-For |F| < 1 the integral lowers the variance iff F < 0 and 0 < k < -2F. The theorem is ours, not the paper's.
+For |F| < 1 the integral reduces the variance iff F < 0 and 0 < k < -2F. This theorem is not in the paper.
 
-What the paper leaves out or misprints: gains, intervals, the index of L, the error of (21). In (12) and (15) L_{t-1} stands for
-L_{i-1}: with it the theta form (15) to (17) is algebraically the form (12) to (14); t counts nothing there. (21) says that the
-measured part of the error of xhat_i is 0: it is so for [y; w] of the sample's own time; what arrives is carried on by (18), and
-so is its noise.
+Missing or misprinted in the paper: gains, intervals, the index of L, the error of (21).
+
+- In (12) and (15) L_{t-1} means L_{i-1}: with it the theta form (15) to (17) is algebraically the form (12) to (14). t has no
+  meaning as an index there.
+- (21) states that the measured part of the error of xhat_i is 0. This holds for [y; w] at the sample's own time. (18)
+  propagates the arriving data, and so their noise.
 """
 
 from collections.abc import Iterator
@@ -33,11 +35,11 @@ from pcbench.study import Study, options_of
 from pcbench.study.grid import cell_of
 
 SEEDS = 1024
-ALIKE = 1e-5  # the least that a tail's error counts for: nothing on the cart is seen so closely
+ALIKE = 1e-5  # smallest tail error that counts: smaller ones are not resolved on the cart
 CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
 STEADY = SCENARIOS[
     "cart/variable"
-].having(  # nothing but noise: true start, a clock of 0.1 s, read when the start is forgotten
+].having(  # only noise: true initial state, a clock of 0.1 s, evaluated after the transient
     name="steady", sampling_pattern="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), steady_start=5.0
 )
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]
@@ -45,18 +47,18 @@ LAM, B, KP, KI = 122.0, 355.0, -61.0, 12.2
 
 
 class Variances(NamedTuple):
-    """Variance of the position error over that of the noise, with and without the integral, on the same draws."""
+    """Variance of the position error divided by that of the noise, with and without the integral, on common random numbers."""
 
     F: float
     k: float
     pco: float
     pi: float
     difference: float  # pi - pco
-    errors: tuple[float, float, float]  # the standard errors of those three
+    errors: tuple[float, float, float]  # standard errors of these three
 
     @property
     def deviations(self) -> tuple[float, float, float]:
-        """How many standard errors each is from the closed form."""
+        """Deviations from the closed form, in standard errors."""
         exact = stationary(self.F, 0.0), stationary(self.F, self.k)
         away = self.pco - exact[0], self.pi - exact[1], self.difference - (exact[1] - exact[0])
         first, second, third = (a / e for a, e in zip(away, self.errors, strict=True))
@@ -71,12 +73,12 @@ def stationary(F: float, k: float) -> float:
 
 
 def stable(F: float, k: float) -> bool:
-    """Say whether PI-PCO is: F alone does not decide it."""
+    """Return whether PI-PCO is stable: F alone does not decide it."""
     return k > 0 and F + k < 1 and 2 + 2 * F + k > 0
 
 
 def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario = STEADY) -> Iterator[Variances]:
-    """Simulate PCO and PI-PCO with the gains of each (F, k) on the same draws; one program serves the whole grid."""
+    """Yield simulated variances of PCO and PI-PCO for each (F, k) on common random numbers; one program covers the grid."""
     drafts = []
     for number, (F, k) in enumerate(grid):
         Kp, Ki = (np.exp(-12.2) - F) / CARTS_A12, k / CARTS_A12
@@ -94,18 +96,18 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
 
 
 def standard_error(x: NDArray[np.float64]) -> np.float64:
-    """Return that of the mean of runs x."""
+    """Return the standard error of the mean of runs x."""
     return x.std(ddof=1) / np.sqrt(len(x))
 
 
 def claims() -> list[Claim]:
-    """Return printed against reproduced, for `pcbench reproduce pi-pco`."""
+    """Return the claims for `pcbench reproduce pi-pco`."""
     with config.float64():
         return [*_ordering(), *_stability(), *equations(), *_robustness(), *_variances()]
 
 
 def _ordering() -> Iterator[Claim]:
-    """The paper's own test, exact model and white noise: its claim depends on gains that it does not print."""
+    """Yield the paper's own test, exact model and white noise: its claim depends on gains that are not printed."""
     for Kp, Ki, which in ((-61.0, 12.2, "a smoothing gain, F = 0.5"), (61.0, 12.2, "an amplifying gain, F = -0.5")):
         options = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
         done = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
@@ -140,7 +142,7 @@ def _stability() -> Iterator[Claim]:
 
 
 def _robustness() -> Iterator[Claim]:
-    """What the integral is for: a model that is wrong."""
+    """Yield claims on the purpose of the integral: a wrong model."""
     for scenario, wrong in (("cart/variable-bias", "input bias 0.2"), ("cart/variable-gain", "input gain +10 %")):
         rows = _tail_rms(api.run(scenario, seeds=256))
         text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "kf", "kf-bias")) + " m"
@@ -149,13 +151,13 @@ def _robustness() -> Iterator[Claim]:
 
 
 def _tail_rms(result: Result, signal: str = "position") -> dict[str, float]:
-    """A signal's root-mean-square error over the tail and all runs, by observer."""
+    """Return a signal's root-mean-square error over the tail and all runs, by observer."""
     rows = result.stats[(result.stats.signal == signal) & (result.stats.metric == "steady_pooled_rmse")]
     return dict(zip(rows["observer"], rows["mean"], strict=True))
 
 
 def equations() -> list[Claim]:
-    """Return what cannot be computed from the paper, and where its equations do not mean what they say."""
+    """Return claims that cannot be computed from the paper, and errors in its equations."""
     first = [f"{b - a}" for a, b in pairwise([0, *arrivals(4)])]
     same, late = theta_form(0), theta_form(1)
     text = f"L_(i-1): (15) and (12) agree to {_size(same)}; L_(i-2): they differ by {late:.2g} m/s"
@@ -168,12 +170,12 @@ def equations() -> list[Claim]:
 
 
 def arrivals(many: int) -> list[int]:
-    """Return the first ticks at which cart/variable hands over a sample: T_i = round(200 + 100 sin 0.6 i) ms."""
+    """Return the first ticks at which a sample arrives in cart/variable: T_i = round(200 + 100 sin 0.6 i) ms."""
     return [int(t) for t in np.cumsum([round(200 + 100 * np.sin(0.6 * i)) for i in range(1, many + 1)])]
 
 
 def theta_form(late: int, many: int = 40) -> float:
-    """Return how far (15) to (17) is from (12) to (14) where (15) takes the integral `late` samples older."""
+    """Return the difference between (15) to (17) and (12) to (14) if (15) uses the integral `late` samples older."""
     rng, w, L = np.random.default_rng(2), 0.0, [0.0] * (late + 1)
     y, held, worst = [5.0], 0.0, 0.0
     times = [0, *arrivals(many)]
@@ -194,7 +196,7 @@ def theta_form(late: int, many: int = 40) -> float:
 
 
 def _measured_part() -> Claim:
-    """The measured part of x - xhat at the arrivals, under the paper's noise."""
+    """Return the measured part of x - xhat at the arrivals, under the paper's noise."""
     trace = api.simulate("cart/variable", "pi-pco")
     late = [k for k in arrivals(40) if 3000 <= k < len(trace)]
     e = (trace["position"] - trace["pi-pco.position"]).to_numpy()[late]

@@ -1,4 +1,4 @@
-"""The plants, one file each, and the dict that names them."""
+"""The built-in plants, one file each, and the dict of their names."""
 
 from collections.abc import Mapping
 from types import ModuleType
@@ -30,7 +30,7 @@ from pcbench.plants.factory import PlantSpec, make_plant
 from pcbench.scenarios import Scenario
 
 __all__ = ["PLANTS", "PlantSpec", "make_plant"]
-UNIT = 1e-12  # a row of C shows a state as it is if it differs from a unit vector by less
+UNIT = 1e-12  # largest difference from a unit vector of a row of C that measures one state
 
 
 def _of(module: ModuleType, summary: str) -> PlantSpec:
@@ -108,7 +108,7 @@ PLANTS: dict[str, PlantSpec] = {
 
 
 def entry_of(scenario: Scenario) -> PlantSpec:
-    """Return a scenario's plant: the one that it carries itself, or else the one of its name."""
+    """Return a scenario's plant: its user-defined one, or else the one of its name."""
     return scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
 
 
@@ -118,24 +118,24 @@ def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
 
 
 def estimated_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
-    """Return (signal, unit) of all that observers may estimate: the states, and what the plant has of unknowns."""
+    """Return (signal, unit) of all signals that observers may estimate: states, and unknown inputs or parameters."""
     return states_of(scenario) + (scenario.scoring.unknowns or entry_of(scenario).unknowns)
 
 
 def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
-    """Return (signal, unit) of all whose errors are scored: what observers may estimate, and the plant's own errors."""
+    """Return (signal, unit) of all scored signals: those that observers may estimate, and the plant's user-defined errors."""
     return estimated_of(scenario) + entry_of(scenario).errors
 
 
 def outputs_of_states(scenario: Scenario) -> dict[str, int]:
-    """Return the number of the output that shows a state as it is, by state."""
+    """Return the index of the output that measures a state directly, by state."""
     C, states = np.asarray(entry_of(scenario).nominal(numbers_of(scenario)).C), states_of(scenario)
     return {states[j][0]: i for i, row in enumerate(C) for j, unit in enumerate(np.eye(len(row)))
             if np.abs(row - unit).max() < UNIT}  # fmt: skip
 
 
 def output_units(scenario: Scenario) -> list[str]:
-    """Return the unit of every output; empty where the plant names none and it shows no single state."""
+    """Return the unit of every output; empty if the plant names none and it measures no single state."""
     if outputs := entry_of(scenario).outputs:
         return [unit for _, unit in outputs]
     units = dict(states_of(scenario))
@@ -144,12 +144,12 @@ def output_units(scenario: Scenario) -> list[str]:
 
 
 def numbers_of(scenario: Scenario) -> PyTree:
-    """Return a plant's numbers as observers know them."""
+    """Return a plant's parameters as assumed by observers."""
     return entry_of(scenario).numbers._replace(**scenario.belief.model)
 
 
 def replace_numbers(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
-    """Return a plant's numbers with some changed; those that a plant of one's own has named are among its `own`."""
+    """Return a plant's parameters with some changed; named numbers of an [lti] plant are in its `own`."""
     fields = {name: v for name, v in given.items() if name in numbers._fields}
     named = {name: v for name, v in given.items() if name not in fields}
     out = numbers._replace(**fields)
@@ -160,18 +160,18 @@ def replace_numbers(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
 
 
 def differs(numbers: PyTree, given: Mapping[str, object]) -> bool:
-    """Say whether a plant with some of its parameters given is another than that of its numbers."""
+    """Return whether given parameters make a plant differ from its default."""
     own = getattr(numbers, "own", {})
     return any(value != (own[name] if name in own else getattr(numbers, name)) for name, value in given.items())
 
 
 def drifts(scenario: Scenario) -> bool:
-    """Say whether the axis `drift` has an effect in a scenario."""
+    """Return whether the axis `parameter_drift` has an effect in a scenario."""
     return entry_of(scenario).drifts or "plant" in scenario.truth.parameters
 
 
 def settles_alone(scenario: Scenario) -> bool:
-    """Say whether a linear plant, known exactly, decays to what its input makes of it with nothing else to push it."""
+    """Return whether a linear plant is known exactly and decays to its response to the input, with no disturbance."""
     true, loop = scenario.truth, scenario.loop
     noisy = any(true.process_std) if np.ndim(true.process_std) < 2 else True
     if scenario.plant not in PLANTS or nonlinear(scenario) or loop.controller or noisy:
@@ -184,7 +184,7 @@ def settles_alone(scenario: Scenario) -> bool:
 
 
 def nonlinear(scenario: Scenario) -> bool:
-    """Say whether observers are told a nonlinear model of a scenario's plant."""
+    """Return whether observers get a nonlinear model of a scenario's plant."""
     plant = entry_of(scenario)
     return plant.model is not None or plant.successor is not None
 
@@ -196,5 +196,5 @@ def parameters_of(plant: PlantSpec) -> list[str]:
 
 
 def parameters_in(scenario: Scenario) -> list[str]:
-    """Return the names of the parameters that a study of a scenario may vary, those that its plant has named among them."""
+    """Return the names of the parameters that a study of a scenario may vary, including named ones of an [lti] plant."""
     return [*parameters_of(entry_of(scenario)), *scenario.belief.model.get("own", {})]

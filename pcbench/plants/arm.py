@@ -4,9 +4,9 @@
     x3' = x4     Jm x4' = -Fm x4 - k (x3 - x1) + u                                           (53)
 
 Measured are link velocity and motor angle. For an observer x' = A x + B u + E f with the unknown f = -delta sin(x1) + d(t),
-delta = M g l / Jl = 0.11025 1/s^2, of which it knows the first part as a function of its estimate: the signal `input` is d.
-A drift of size a multiplies k/J, M g l/J and F/J of a run by 1 + a sin(w t + phi), all three alike; each run draws its w,
-uniform in 0.2 .. 2 rad/s, and its phi. The paper has no drift.
+with delta = M g l / Jl = 0.11025 1/s^2, observers know -delta sin(x1) as a function of the estimate. The signal `input` is d. A
+drift of size a multiplies k/J, M g l/J and F/J of a run by 1 + a sin(w t + phi), all three alike; each run draws its w, uniform
+in 0.2 .. 2 rad/s, and its phi. The paper has no drift.
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5. Different from print: its minus signs are lost; E is its D. A tick is one
 Runge-Kutta step of the field under the held input, with d at the stages i dt, (i + 1/2) dt, (i + 1) dt.
@@ -32,7 +32,7 @@ SIGNALS = (
     ("motor_velocity", "rad/s"),
 )
 UNKNOWNS = (("input", "rad/s^2"),)
-SLOWEST, FASTEST = 0.2, 2.0  # of the drift [rad/s]
+SLOWEST, FASTEST = 0.2, 2.0  # frequency range of the drift [rad/s]
 
 
 class Numbers(NamedTuple):
@@ -50,7 +50,7 @@ class Numbers(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Over J: stiffness k, gravity M g l, frictions; and d at the stages."""
+    """Parameters divided by J: stiffness k, gravity M g l, frictions; and d at the stages."""
 
     stiffness: Leaf  # 1/s^2
     gravity: Leaf  # 1/s^2
@@ -58,12 +58,12 @@ class Params(NamedTuple):
     torque: Leaf  # 1/(kg m^2)
     d: Leaf  # [2 N + 3] rad/s^2 at (j/2) dt
     drift: Leaf
-    pace: Leaf  # rad/s, w
-    phase: Leaf  # rad, phi
+    pace: Leaf  # rad/s, frequency w of the drift
+    phase: Leaf  # rad, phase phi of the drift
 
 
 def nominal(p: Numbers) -> Model:
-    """Return the model that observers know, with E and the known part of f."""
+    """Return the model for designs, with E and the known part of f."""
     k, a, b = p.k / p.J, p.Fl / p.J, p.Fm / p.J
     A = np.array([[0, 1, 0, 0], [-k, -a, k, 0], [0, 0, 0, 1], [k, 0, -k, -b]])
     B, C = np.array([[0.0], [0], [0], [1 / p.J]]), np.array([[0.0, 1, 0, 0], [0, 0, 1, 0]])
@@ -72,12 +72,12 @@ def nominal(p: Numbers) -> Model:
 
 
 def pull(delta: Array, x: Float[Array, "4"]) -> Float[Array, "1"]:
-    """Return the known part of f: the weight's pull on the link, -delta sin(x1)."""
+    """Return the known part of f: the torque of gravity on the link, -delta sin(x1)."""
     return -delta * jnp.sin(x[:1])
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the field, with d at every stage of ticks 0 .. `ticks`."""
+    """Return the parameters of the field, with d at every stage of ticks 0 .. `ticks`."""
     n = numbers
     d = inputs(n.unknown_input, np.arange(2 * ticks + 3) / 2 * dt, 1)[:, 0]
     return Params(
@@ -93,7 +93,7 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
 
 
 def of_run(params: Params, uniform: Float[Array, "2"]) -> Params:
-    """Give a run the pace and the phase of its own drift."""
+    """Return the parameters of one run, with its drift's frequency and phase."""
     return params._replace(
         pace=SLOWEST + (FASTEST - SLOWEST) * uniform[0],
         phase=2 * np.pi * uniform[1],
@@ -101,7 +101,7 @@ def of_run(params: Params, uniform: Float[Array, "2"]) -> Params:
 
 
 def disturbance(params: Params, now: Now) -> Array:
-    """Return d at now.t, a stage's time."""
+    """Return d at the stage's time now.t."""
     return params.d[jnp.round(2 * now.t / now.dt).astype(int)]
 
 

@@ -2,13 +2,13 @@
 
     x' = [0 1; 0 -lam] x + [0; b] u,   lam = 122 1/s, b = 355                               (30)
 
-With drift (section 6.3): A22(t) = -120 - (4 sin 10t + 20 cos t sin t), B21(t) = 355 + 24 cos 2t + s 20 sin 2t cos 2t.
-The operator between the last two terms is lost in print: s is +1 here, or `plant.drift_sign`. `drift` scales the deviation from
-the nominal numbers: 0 nominal, 1 as printed. The observers keep the nominal numbers.
+With drift (section 6.3): A22(t) = -120 - (4 sin 10t + 20 cos t sin t), B21(t) = 355 + 24 cos 2t + s 20 sin 2t cos 2t. The
+operator between the last two terms is missing in print: s is +1 here, or `plant.drift_sign`. `drift` scales the deviation from
+the nominal numbers: 0 nominal, 1 as printed. Observers assume the nominal parameters.
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017), sections 6 and 6.3.
 Without drift a tick is the exact exponential. With drift the parameters vary within the tick and only u is held; the
-tick's linear map is integrated by Runge-Kutta once and shared by all lanes.
+tick's linear map is integrated by Runge-Kutta once and shared by all runs.
 """
 
 from functools import partial
@@ -25,7 +25,7 @@ from pcbench.dynamics.linear import Model, discretize_zoh
 from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"))
-SUBSTEPS = 4  # of Runge-Kutta in a tick under drift
+SUBSTEPS = 4  # of Runge-Kutta per tick under drift
 
 
 class Numbers(NamedTuple):
@@ -35,19 +35,19 @@ class Numbers(NamedTuple):
     b: float = 355.0  # velocity gained per second and unit of input
     drift: float = 0.0  # scale of the printed drift
     drift_sign: float = 1.0  # s
-    input_bias: float = 0.0  # unit of the input: added to it on its way to the plant
+    input_bias: float = 0.0  # unit of the input, added to the input of the plant
 
 
 class Params(NamedTuple):
-    """The linear map of every tick k = 0 .. N, x(t_k+1) = Phi[k] x(t_k) + Gamma[k] (u_k + bias); one row: of all ticks."""
+    """The linear map of every tick k = 0 .. N, x(t_k+1) = Phi[k] x(t_k) + Gamma[k] (u_k + bias); one row: constant."""
 
     Phi: Leaf  # [N+1 or 1, 2, 2]
     Gamma: Leaf  # [N+1 or 1, 2, 1]
-    numbers: Numbers  # what the field reads
+    numbers: Numbers  # parameters of the field
 
 
 def nominal(numbers: Numbers) -> Model:
-    """Return the model that observers know."""
+    """Return the model for designs."""
     return Model(np.array([[0.0, 1.0], [0.0, -numbers.lam]]), np.array([[0.0], [numbers.b]]), np.array([[1.0, 0.0]]))
 
 
@@ -66,9 +66,11 @@ def field(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
 
 @partial(jax.jit, static_argnames="ticks")
 def _drifting(numbers: Numbers, dt: Array, ticks: int) -> Params:
-    params = Params(jnp.zeros(0), jnp.zeros(0), numbers._replace(input_bias=0.0))  # the bias joins the input later
+    params = Params(
+        jnp.zeros(0), jnp.zeros(0), numbers._replace(input_bias=0.0)
+    )  # the bias is added to the input elsewhere
 
-    def tick(k: Array) -> Array:  # the state and the held input as one linear system of three
+    def tick(k: Array) -> Array:  # state and held input as one linear system of size three
         def joint(t: Array, z: Array) -> Array:
             now = Now(t, k, dt, z[2:], lambda age: z[2:])
             return jnp.append(field(params, now, z[:2]), 0.0)

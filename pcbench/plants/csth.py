@@ -4,7 +4,7 @@
 
 linearised, with r = c22 a21 / |a22| (what a litre more, at the same enthalpy, takes off the tank's temperature). Measured are
 the level [mm], the tank's and the jacket's temperature [degC]; inputs are the net inflow [L/s] and the heater's power [W].
-`literal` is what the paper computed with: its continuous-time numbers used as a recursion, without the terms in r and k.
+`literal` is the recursion that the paper computed: its continuous-time numbers per sample, without the terms in r and k.
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Different from print: signs restored from the printed design;
 A31, A32 and A23 = k follow from the balances and are not printed; "3041.5241" is 30411.5241. Ticks are exact under the held
 input.
@@ -23,7 +23,7 @@ OUTPUTS = (("level", "mm"), ("tank_temperature", "degC"), ("jacket_temperature",
 
 
 class Numbers(NamedTuple):
-    """The plant; observers know it so."""
+    """The parameters, also as assumed by observers."""
 
     a21: float = 626.4371  # J/(L s)
     a22: float = -5.9406e-3  # 1/s
@@ -34,11 +34,11 @@ class Numbers(NamedTuple):
     literal: bool = False
     input_gain: float = 1.0
     input_bias: float = 0.0  # of both inputs
-    drift: float = 0.0  # nothing drifts here
+    drift: float = 0.0  # has no effect
 
 
 def nominal(p: Numbers) -> Model:
-    """Return the model that observers know: continuous, or the printed recursion."""
+    """Return the model for designs: continuous, or the printed recursion."""
     if p.literal:
         A = np.array([[0, 0, 0], [p.a21, p.a22, 0], [0, 0, -1.2019e-3]])
         return Model(A, np.array([[1, 0], [0, 0], [0, p.mc]]), np.diag([p.c11, p.c22, 1]), None, True)

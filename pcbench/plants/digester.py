@@ -15,7 +15,7 @@ points:
     printed   133.714 L/d   the mean feed of the public program, which replaces the 100 L of the tank in 0.75 d
 
 The gas moves within seconds, so a tick of 0.5 h is four steps of a linearly implicit method of order 2 (ROS2, Verwer et al.
-1999) with the slopes of x1, x2, x11 and x12. It is L-stable for them, and of order 2 whatever slopes are left out.
+1999) with the slopes of x1, x2, x11 and x12. It is L-stable for them, and of order 2 for any omitted slopes.
 Source: Hellmann, Wilms, Streif, Weinrich, arXiv 2512.20354. Its text was not obtained: equations and constants are those of an
 earlier public program by its first author (ADM1-R4 with two kinds of carbohydrates).
 """
@@ -55,7 +55,7 @@ OUTPUTS = (
 )
 DAY = 86400.0  # s
 STEPS = 4  # of a tick
-GAMMA = 1 + 1 / np.sqrt(2)  # of ROS2; the other root oscillates where pressures start some per cent off
+GAMMA = 1 + 1 / np.sqrt(2)  # of ROS2; the other root oscillates if pressures start a few per cent off
 STOICHIOMETRY = (
     np.array(  # of methane, carbon, nitrogen, water and biomass [5], for a gram of each of four substrates [4]
         [
@@ -67,8 +67,8 @@ STOICHIOMETRY = (
         ]
     )
 )
-MADE = [0, 1, 2, 3, 8]  # the states of its rows
-DECAY = {4: 0.18, 6: 0.77, 7: 0.05, 8: -1.0}  # what a gram of dead biomass becomes
+MADE = [0, 1, 2, 3, 8]  # states with rows in it
+DECAY = {4: 0.18, 6: 0.77, 7: 0.05, 8: -1.0}  # products per gram of dead biomass
 RHO, RT_CH4, RT_CO2 = 1000.0, 0.08315 * 273.15 / 16, 0.08315 * 273.15 / 44  # g/L, bar L/g at 0 degrees Celsius
 FAST = (0, 1, 10, 11)  # the states whose slopes a step uses
 
@@ -164,7 +164,7 @@ def operating_point(name: str) -> tuple[Matrix, float]:
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     n = numbers
     level, feed = operating_point(n.point)
     return Params(

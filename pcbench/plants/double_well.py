@@ -36,17 +36,17 @@ class Params(NamedTuple):
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     return Params(np.asarray(numbers.rate))
 
 
 def nominal(n: Numbers) -> Model:
-    """Return the model linearised on the wall, where it is unstable."""
+    """Return the model linearised at the unstable equilibrium 0."""
     return Model(np.array([[n.rate]]), np.ones((1, 1)), np.ones((1, 1)))
 
 
 def residual(numbers: Numbers) -> Matrix:
-    """Return dx/dt on the wall, [1]."""
+    """Return dx/dt at the equilibrium 0, [1]."""
     return np.zeros(1)
 
 

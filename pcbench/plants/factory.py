@@ -1,22 +1,24 @@
-"""A plant of a user's own from its equations: checked once, and then a plant like any other.
+"""Make a user-defined plant from its equations, which are checked once.
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import pcbench
 
 class Numbers(NamedTuple):
-length: float = 0.5  # m
-friction: float = 0.1  # 1/s
+    length: float = 0.5  # m
+    friction: float = 0.1  # 1/s
 
 def field(p, now, x):
-return jnp.stack([x[1], -9.81 / p.length * jnp.sin(x[0]) - p.friction * x[1] + now.u[0]])
+    return jnp.stack([x[1], -9.81 / p.length * jnp.sin(x[0]) - p.friction * x[1] + now.u[0]])
 
 pendulum = pcbench.make_plant(
-field=field,
-output=lambda p, now, x: x[:1],
-states=["angle [rad]", "rate [rad/s]"],
-numbers=Numbers(),
-operating_point=([0.0, 0.0], [0.0]),
-unknown_parameters={"friction": ("1/s", 0.0, 1.0)},
+    field=field,
+    output=lambda p, now, x: x[:1],
+    states=["angle [rad]", "rate [rad/s]"],
+    numbers=Numbers(),
+    operating_point=([0.0, 0.0], [0.0]),
+    unknown_parameters={"friction": ("1/s", 0.0, 1.0)},
 )
 """
 
@@ -74,7 +76,7 @@ class PlantSpec(NamedTuple):
 
 
 class NoNumbers(NamedTuple):
-    """Of a plant whose functions hold all their numbers themselves."""
+    """Numbers of a plant whose functions contain all their numbers."""
 
 
 def make_plant(
@@ -203,7 +205,7 @@ def make_plant(
 
 
 def _point(given: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The operating point as plain numbers."""
+    """Return the operating point as numbers."""
     try:
         x0, u0 = (tuple(float(v) for v in np.asarray(part, float).reshape(-1)) for part in given)
     except (TypeError, ValueError):
@@ -223,7 +225,7 @@ def _list_given(field: Function | None, step: Function | None, tick: float | Non
 
 
 def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, Range]) -> PyTree:
-    """The plant's numbers as the benchmark varies them: floats, and tuples of them; without unknown inputs."""
+    """Return the plant's parameters that a study may vary: floats, and tuples of them, without unknown inputs."""
     names = getattr(numbers, "_fields", None)
     if names is None:
         raise UserError(
@@ -262,7 +264,7 @@ def tuples(value: object) -> object:
 
 
 def _range(name: str, given: Range) -> tuple[float, float]:
-    """Where observers look for an unknown."""
+    """Return the range in which observers look for an unknown."""
     low, high = (-np.inf, np.inf) if isinstance(given, str) else (float(v) for v in given[1:])
     if not low < high:
         raise UserError(
@@ -272,7 +274,7 @@ def _range(name: str, given: Range) -> tuple[float, float]:
 
 
 def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
-    """The output at the operating point; raise UserError where a function or its slope is not as it must be."""
+    """Return the output at the operating point; raise UserError for an invalid function or slope."""
     n = len(e.x0)
     with config.float64():
         given, x = nonlinear.user_numbers(e, numbers), jnp.array(e.x0)
@@ -319,7 +321,7 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
 
 
 def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) -> None:
-    """Raise UserError where an output's residual is not [q], or y less itself is not 0."""
+    """Raise UserError if an output's residual is not [q], or is not 0 for equal arguments."""
     try:
         same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
     except Exception as error:
@@ -335,7 +337,7 @@ def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) ->
 
 
 def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: Array) -> None:
-    """Raise UserError where an error of a user's own is not a number, or not 0 where x and xhat agree."""
+    """Raise UserError if a user-defined error is not a number, or not 0 for x = xhat."""
     try:
         same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
     except Exception as error:

@@ -22,7 +22,7 @@ from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("altitude", "ft"), ("speed", "ft/s"), ("drag", "1/ft"))
 OUTPUTS = (("distance", "ft"),)
-START = (3e5, 2e4, 1e-3)  # where the linear model is taken
+START = (3e5, 2e4, 1e-3)  # state at which the linear model is taken
 
 
 class Numbers(NamedTuple):
@@ -43,7 +43,7 @@ class Params(NamedTuple):
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     return Params(*(np.asarray(each) for each in numbers[:3]))
 
 

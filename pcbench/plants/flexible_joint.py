@@ -3,7 +3,7 @@
     x1' = x2     x2' = -48.6 (x1 - x3) - 1.25 x2 + 21.6 u
     x3' = x4     x4' = 19.5 (x1 - x3) - 3.33 sin(x3)
 
-Measured is the motor angle. The nonlinearity has the Lipschitz constant 3.33 1/s^2. Units are ours.
+Measured is the motor angle. The nonlinearity has the Lipschitz constant 3.33 1/s^2. Units are decided here.
 Source: Raghavan, Hedrick 1994, as public programs for this example have its constants; the paper itself was not obtained.
 A tick is one Runge-Kutta step under the held input.
 """
@@ -49,7 +49,7 @@ class Params(NamedTuple):
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     return Params(*(np.asarray(each) for each in numbers[:5]))
 
 

@@ -69,7 +69,7 @@ def step(params: Params, now: Now, x: Float[Array, "1"]) -> Float[Array, "1"]:
 
 
 def output(params: Params, now: Now, x: Float[Array, "1"]) -> Float[Array, "1"]:
-    """Return what is measured."""
+    """Return the measurement."""
     return sensor(params, now, x, jnp.zeros(0))
 
 

@@ -25,7 +25,7 @@ from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("pitch", "rad"), ("yaw", "rad"), ("pitch_rate", "rad/s"), ("yaw_rate", "rad/s"))
 UNKNOWNS = (("pitch_viscosity", "N m s/rad"), ("yaw_viscosity", "N m s/rad"))
-RANGE = ((0.0, 2.0), (0.0, 2.0))  # where viscosities are looked for
+RANGE = ((0.0, 2.0), (0.0, 2.0))  # range in which viscosities are estimated
 DRIFT_PERIOD = 20.0  # s
 
 
@@ -47,7 +47,7 @@ class Numbers(NamedTuple):
 
 
 class Params(NamedTuple):
-    """What the equations hold."""
+    """Parameters of the equations."""
 
     J: Leaf  # [2] kg m^2
     K: Leaf  # [2, 2] N m/V
@@ -58,14 +58,14 @@ class Params(NamedTuple):
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     n = numbers
     K, J, B = [[n.Ktt, n.Ktp], [n.Kpt, n.Kpp]], [n.Jth, n.Jps], [n.Bth, n.Bps]
     return Params(*map(np.asarray, (J, K, B, n.m * n.l**2, n.m * n.g * n.l, n.drift)))
 
 
 def nominal(p: Numbers) -> Model:
-    """Return the model linearised at rest and level, th = 0; the observers here know more: `parts`."""
+    """Return the model linearised at rest and level, th = 0; observers of this plant use `parts` instead."""
     q = prepare(p, 0.0, 0)
     M = q.J + q.ml2
     A, B = np.zeros((4, 4)), np.zeros((4, 2))
@@ -79,7 +79,7 @@ def inertia(params: Params, pitch: Array) -> Float[Array, "2"]:
 
 
 def torque(params: Params, pitch: Array, rates: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Return the torques of gravity and of the velocities' products."""
+    """Return the torques of gravity and of the products of rates."""
     cross = params.ml2 * jnp.sin(pitch) * jnp.cos(pitch)
     fall = -cross * rates[1] ** 2 - params.mgl * jnp.cos(pitch)
     return jnp.stack([fall, 2 * cross * rates[0] * rates[1]])
@@ -98,7 +98,7 @@ def model(params: Params, now: Now, x: Float[Array, "4"], B: Float[Array, "2"]) 
 
 
 def inverse(params: Params, B: Array, target: Array, rates: Array, accelerations: Array) -> Float[Array, "2"]:
-    """Return the voltages under which the helicopter moves along a path: positions, rates and accelerations, [2] each."""
+    """Return the voltages for motion along a path: positions, rates and accelerations, [2] each."""
     need = inertia(params, target[0]) * accelerations + B * rates - torque(params, target[0], rates)
     (a, b), (c, d) = params.K[0], params.K[1]
     return jnp.stack([d * need[0] - b * need[1], a * need[1] - c * need[0]]) / (a * d - b * c)

@@ -1,6 +1,6 @@
-"""The mobile cart under a camera of unknown delay: the plant of `cart`, with the delay of its samples as a signal.
+"""The mobile cart below a camera of unknown delay: the plant of `cart`, with the delay of its samples as a signal.
 
-`sensor_delay` is not set: it is the delay of the scenario's samples, which observers do not know of.
+`sensor_delay` is the delay of the scenario's samples, set by pcbench. Observers do not get it.
 """
 
 from typing import NamedTuple

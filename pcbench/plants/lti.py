@@ -1,9 +1,9 @@
-"""Any linear plant: x' = A x + B v + E f, or x one tick later where `discrete`; y = C x + D v, v = gain u + bias.
+"""A linear plant: x' = A x + B v + E f, or x one tick later if `discrete`; y = C x + D v, v = gain u + bias.
 
-A, B, C, D, E are the user's, and observers know them; entries may be formulas of named numbers. How the plant differs from that
-say `input_gain`, `input_bias`, other values of the named numbers, and `plant`: matrices or named numbers of its own, of which
-`drift` is the share (1: all of it). No observer is told the unknown input f (left out: none). The output of tick k sees the
-input held from t_k on. A tick is the exact exponential under the held inputs, f too.
+A, B, C, D, E are given by the user and known to observers. Entries may be formulas of named numbers. The true plant may differ
+by `input_gain`, `input_bias`, other values of the named numbers, and `plant`: its own matrices or named numbers, of which
+`drift` is the share (1: all of it). Observers do not get the unknown input f (default: none). The output of tick k depends on
+the input held from t_k on. A tick is the exact exponential under the held inputs, including f.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +21,8 @@ from pcbench.scenarios.scenario import NOTHING
 from pcbench.scenarios.signals import inputs
 
 MATRICES = "ABCDE"
-Rows = Sequence[Sequence[float | str]] | Matrix  # of a matrix; a text is a formula
-SIGNALS = ()  # the scenario's
+Rows = Sequence[Sequence[float | str]] | Matrix  # rows of a matrix; a text is a formula
+SIGNALS = ()  # those of the scenario
 
 
 class Numbers(NamedTuple):
@@ -35,12 +35,12 @@ class Numbers(NamedTuple):
     discrete: bool = False
     input_gain: float = 1.0
     input_bias: float = 0.0  # unit of the input
-    drift: float = 0.0  # the share of `plant`
+    drift: float = 0.0  # share of `plant`
     E: Rows | None = None  # [n, r]; None: no unknown input
-    unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
+    unknown_input: str = "zero"  # f: name of a signal for all, or one per input, with commas
     own: Mapping[str, float] = NOTHING  # named numbers of the formulas
-    written: Mapping[str, Rows] = NOTHING  # by letter: rows of matrices with formulas among their entries
-    plant: Mapping[str, Any] = NOTHING  # of the plant and no model: rows by letter, numbers by name
+    written: Mapping[str, Rows] = NOTHING  # by letter: matrices with formulas among their entries
+    plant: Mapping[str, Any] = NOTHING  # true values that the model does not have: rows by letter, numbers by name
 
 
 class Params(NamedTuple):
@@ -60,7 +60,7 @@ class Params(NamedTuple):
 
 
 def nominal(numbers: Numbers) -> Model:
-    """Return the model that observers know."""
+    """Return the model for designs."""
     given = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
     A, B, C = (evaluate_rows(given[letter], numbers.own) for letter in "ABC")
     D, E = (None if given[letter] is None else evaluate_rows(given[letter], numbers.own) for letter in "DE")
@@ -68,7 +68,7 @@ def nominal(numbers: Numbers) -> Model:
 
 
 def evaluate_rows(rows: Rows, own: Mapping[str, float]) -> Matrix:
-    """Return rows of numbers and formulas as a matrix; raise ValueError where a formula has no finite value."""
+    """Return rows of numbers and formulas as a matrix; raise ValueError if a formula has no finite value."""
     if not own:
         return np.array(rows, float)
     each = [
@@ -78,7 +78,7 @@ def evaluate_rows(rows: Rows, own: Mapping[str, float]) -> Matrix:
 
 
 def actual(numbers: Numbers) -> Model:
-    """Return the plant as it is: `drift` parts of `plant`, and of the model what is left."""
+    """Return the true plant: the share `drift` of `plant`, and 1 - `drift` of the model."""
     share, plant = numbers.drift, numbers.plant
     own = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.own.items()}
     model = nominal(numbers._replace(own=own)) if plant else nominal(numbers)
@@ -129,12 +129,12 @@ def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
-    """Return what is measured."""
+    """Return the measurement."""
     return params.C @ x + params.D @ (params.gain * now.u + params.bias)
 
 
 def field(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Return dx/dt under the held now.u; of a continuous plant only."""
+    """Return dx/dt under the held now.u; for a continuous plant only."""
     pushed = params.E @ params.f[now.tick] if params.f.shape[1] else 0.0
     return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias) + pushed
 

@@ -28,7 +28,7 @@ C = ((1.0, 0.0, 1.0, -1.0), (0.0, 1.0, 0.0, 0.0))
 
 
 class Numbers(NamedTuple):
-    """How the plant differs from its model; `plant.input_gain` and `plant.input_bias` are axes."""
+    """Parameters by which the plant may differ from its model; `plant.input_gain` and `plant.input_bias` are axes."""
 
     input_gain: float = 1.0
     input_bias: float = 0.0  # of both inputs

@@ -1,11 +1,11 @@
-"""A plant given by its equations, as functions of a user's own; see `plants.factory`.
+"""A user-defined plant given by its equations; see `plants.factory`.
 
     x' = field(numbers, now, x)  or  x one tick later = step(numbers, now, x),        y = output(numbers, now, x)
 
-State, input and measured output are deviations from an operating point (x0, u0) and y0, its output under the numbers as they
-were declared; the user's functions are given the whole x and u. So a linear observer works on the Jacobians there (jax), and
-`ekf` takes derivatives where its estimate is. Unknown inputs and parameters are numbers that observers are not told: an input
-is a signal, held over a tick, a parameter stands still. A tick of a field is one Runge-Kutta step.
+State, input and measured output are deviations from an operating point (x0, u0) and its output y0 for the declared numbers. The
+user's functions get the full x and u. Linear observers use the Jacobians there (jax); `ekf` uses derivatives at its estimate.
+Observers do not get unknown inputs and parameters. An unknown input is a signal held over a tick; a parameter is constant. A
+tick of a field is one Runge-Kutta step.
 """
 
 from collections.abc import Callable
@@ -27,11 +27,11 @@ from pcbench.protocols import Leaf, Now
 from pcbench.runtime import config
 from pcbench.scenarios.signals import inputs
 
-REST = 1e-9  # what dx/dt at an equilibrium may be by rounding, as a part of the operating point's size
+REST = 1e-9  # largest |dx/dt| at an equilibrium, relative to the operating point's size
 
 
 class Equations(NamedTuple):
-    """The functions, what they take, and the operating point; n states, m inputs, q outputs."""
+    """The functions, their parameters, and the operating point; n states, m inputs, q outputs."""
 
     field: Callable[[PyTree, Now, Array], PyTree] | None  # (numbers, now, x) -> dx/dt [n]
     step: Callable[[PyTree, Now, Array], PyTree] | None  # (numbers, now, x) -> x one tick later [n]
@@ -43,9 +43,7 @@ class Equations(NamedTuple):
     x0: tuple[float, ...]  # [n]
     u0: tuple[float, ...]  # [m]
     y0: tuple[float, ...]  # [q]
-    output_residual: Callable[[Array, Array], PyTree] | None = (
-        None  # (y, yhat) -> y less yhat [q]; None: their difference
-    )
+    output_residual: Callable[[Array, Array], PyTree] | None = None  # (y, yhat) -> residual [q]; None: y - yhat
     errors: tuple[Callable[[PyTree, Now, Array, Array], ArrayLike], ...] = ()  # [d] (numbers, now, x, xhat) -> a number
 
 
@@ -53,8 +51,8 @@ class Equations(NamedTuple):
 class PlantFunction:
     """A function of this module with a plant's equations as its first argument.
 
-    Two are equal if function and equations are, so one that was sent to another process, or read from a file, is equal to the
-    one there: `functools.partial` compares identities, and a program would be refused the plant it was compiled for.
+    Two are equal if function and equations are equal, also after a transfer to another process. `functools.partial` compares
+    identities, so a program would not accept the plant it was compiled for.
     """
 
     function: Callable[..., PyTree]
@@ -66,7 +64,7 @@ class PlantFunction:
 
 
 class Params(NamedTuple):
-    """The numbers as arrays, the operating point, and the unknown inputs of every tick; N ticks, r unknown inputs."""
+    """Parameters as arrays, the operating point, and the unknown inputs of every tick; N ticks, r unknown inputs."""
 
     numbers: PyTree
     x0: Float[Leaf, " n"]
@@ -90,7 +88,7 @@ def require_tick(dt: float, step: float) -> None:
 
 
 def prepare(equations: Equations, numbers: PyTree, dt: float, ticks: int) -> Params:
-    """Return the numbers for ticks 0 .. `ticks` of `dt` seconds; raise UserError where `step` is of another tick."""
+    """Return the parameters for ticks 0 .. `ticks` of `dt` seconds; raise UserError if `step` has another tick."""
     e = equations
     if e.tick is not None:
         require_tick(dt, e.tick)
@@ -99,12 +97,12 @@ def prepare(equations: Equations, numbers: PyTree, dt: float, ticks: int) -> Par
 
 
 def add_operating_input(params: Params, now: Now) -> Now:
-    """Return the present with the whole input in place of its deviation."""
+    """Return the present with the full input instead of its deviation."""
     return now._replace(u=now.u + params.u0, past_u=lambda age: now.past_u(age) + params.u0)
 
 
 def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) -> PyTree:
-    """Return the user's numbers with the unknown inputs and parameters [s] in their places."""
+    """Return the user's parameters with the given unknown inputs and parameters [s]."""
     names = (*equations.inputs, *equations.parameters)
     return params.numbers._replace(**{name: values[i] for i, name in enumerate(names)})
 
@@ -124,13 +122,13 @@ def successor(equations: Equations, params: Params, now: Now, x: Float[Array, " 
 
 
 def sensor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
-    """Return what is measured with unknowns p."""
+    """Return the measurement with unknowns p."""
     numbers = knowing(equations, params, p)
     return jnp.asarray(equations.output(numbers, add_operating_input(params, now), x + params.x0)) - params.y0
 
 
 def output_residual(equations: Equations, params: Params, y: Float[Array, " q"], yhat: Float[Array, " q"]) -> Array:
-    """Return y less yhat as the plant has it; both are deviations from the operating point."""
+    """Return the plant's output residual y - yhat; both are deviations from the operating point."""
     residual = equations.output_residual or jnp.subtract
     return jnp.asarray(residual(y + params.y0, yhat + params.y0))
 
@@ -138,7 +136,7 @@ def output_residual(equations: Equations, params: Params, y: Float[Array, " q"],
 def errors(
     equations: Equations, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"]
 ) -> Float[Array, " d"]:
-    """Return the user's own errors of an estimate."""
+    """Return the user-defined errors of an estimate."""
     there, x, xhat = add_operating_input(params, now), x + params.x0, xhat + params.x0
     return jnp.stack([jnp.asarray(f(params.numbers, there, x, xhat), float) for f in equations.errors])
 
@@ -161,20 +159,20 @@ def step(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) 
 
 
 def output(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
-    """Return what is measured."""
+    """Return the measurement."""
     return sensor(equations, params, now, x, unknown(equations, params, now, x))
 
 
 @lru_cache(maxsize=64)
 def slopes(equations: Equations, numbers: PyTree) -> tuple[Model, np.ndarray]:
-    """Return the linear model at the operating point, by jax, for numbers as observers know them, and its excess [n].
+    """Return the linear model at the operating point, by jax, for the assumed parameters, and dx/dt there [n].
 
-    That is dx/dt there, or of a `step` the change over a tick; 0 where it is rounding.
+    For a `step` the second is the change over a tick. It is 0 if it is rounding.
     """
     e, n, m, r = equations, len(equations.x0), len(equations.u0), len(equations.inputs)
     with config.float64():
         params = jax.tree.map(jnp.asarray, prepare(e, numbers, e.tick or 0.0, 0))
-        # unknown inputs are 0 there, whatever signal they are
+        # unknown inputs are 0 there, for any signal
         rest = jnp.concatenate([jnp.zeros(r), unknown(e, params, _now(e, jnp.zeros(m)), jnp.zeros(n))[r:]])
 
         def moved(x: Array, u: Array, p: Array) -> Array:
@@ -193,7 +191,7 @@ def slopes(equations: Equations, numbers: PyTree) -> tuple[Model, np.ndarray]:
 
 
 def _now(equations: Equations, u: Array) -> Now:
-    """The first tick, with u held since ever."""
+    """Return the first tick, with u held since the infinite past."""
     dt = jnp.asarray(equations.tick or 0.0)
     return Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
 
@@ -204,5 +202,5 @@ def nominal(equations: Equations, numbers: PyTree) -> Model:
 
 
 def residual(equations: Equations, numbers: PyTree) -> np.ndarray:
-    """Return dx/dt at the operating point, [n]: 0 where it is an equilibrium."""
+    """Return dx/dt at the operating point, [n]: 0 at an equilibrium."""
     return slopes(equations, numbers)[1]

@@ -95,7 +95,7 @@ POINTS = {
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     n = numbers
     return Params(
         outlet=np.array([n.a1 / n.A1, n.a2 / n.A2, n.a1 / n.A1, n.a2 / n.A2]),

@@ -2,8 +2,8 @@
 
     pA' = -2 r + u,   pB' = r,   r = k1 pA^2 - k2 pB,   y = pA + pB
 
-at constant volume and temperature, of ideal gas; measured is the total pressure. u [atm/s] lets A in: 0 in the experiment, and
-known to observers. The equations go on below 0, where no pressure does: with pA < 0 they have equilibria of their own, of the
+at constant volume and temperature, for an ideal gas. The total pressure is measured. u [atm/s] is an inflow of A, 0 in the
+experiment and known to observers. The equations extend to negative pressures. With pA < 0 they have further equilibria with the
 same total pressure. A tick is one Runge-Kutta step under the held input.
 Source: Haseltine, Rawlings 2005; times, which have no unit there, are seconds.
 """
@@ -28,23 +28,23 @@ class Numbers(NamedTuple):
 
     k1: float = 0.16  # 1/(atm s)
     k2: float = 0.0064  # 1/s
-    drift: float = 0.0  # nothing drifts here
+    drift: float = 0.0  # has no effect
 
 
 class Params(NamedTuple):
-    """What the equations hold."""
+    """Parameters of the equations."""
 
     k1: Leaf
     k2: Leaf
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
-    """Return the numbers of the equations."""
+    """Return the parameters of the equations."""
     return Params(np.asarray(numbers.k1), np.asarray(numbers.k2))
 
 
 def nominal(p: Numbers) -> Model:
-    """Return the model linearised with nothing in the reactor; the observers here know more: `model`."""
+    """Return the model linearised at zero pressures; observers of this plant use `model` instead."""
     A = np.array([[0.0, 2 * p.k2], [0.0, -p.k2]])
     return Model(A, np.array([[1.0], [0.0]]), np.ones((1, 2)))
 

@@ -67,7 +67,7 @@ class Profile:
         gains_of: Callable[[PlaybackSetup], tuple[AffineGains, Vector]],
         progress: Progress,
     ) -> None:
-        """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns gains and z of a prepared observer."""
+        """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns an observer's gains and z."""
         length = max(power_of_2(a.last + 1), 2)
         if a.last >= likelihood.MOST:
             likelihood.load_recording(a)  # raises UserError for an unsuitable recording
@@ -124,7 +124,7 @@ class Profile:
         return [self.known[each].value for each in wanted]
 
     def _maximise(self, some: list[Delays], start: Vector) -> list[Best]:
-        """Return the most likely z of each of some delays, one lane each, by steps that are halved until the likelihood rises."""
+        """Return the most likely z of each of some delays, by steps that are halved until the likelihood rises."""
         windows = [self._window(each) for each in some]
         windows += windows[:1] * (self.lanes - len(windows))
         stacked = jax.tree.map(lambda *a: np.stack(a), *windows)

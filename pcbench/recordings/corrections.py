@@ -3,6 +3,16 @@
     value = scale * recorded value + offset,   timestamp = recorded one + clock_offset,   arrival = timestamp + delay
 
 A table of measurements needs no mapping of fields to channels, but has the same keys for corrections:
+
+    log = "flight"                      # a folder or file of tables
+    [channels.y1]                       # other channels, inputs and states are unchanged
+    clock_offset = -0.135               # [s]
+    scale = 1000.0
+    offset = -4500.0                    # such as minus the operating point
+    only_changes = true                 # a repeated value is not a measurement
+    delay = 0.2                         # [s], for a table without the column arrived: required for all channels
+    [inputs.u1]                         # scale and offset
+    [truth.level]
 """
 
 import os

@@ -119,7 +119,7 @@ def variables(source: Source, names: list[str] | None) -> dict[str, Any]:
 def _group(
     source: Source, group: "h5py.Group", names: list[str] | None, total: list[int], deepest: int
 ) -> dict[str, Any]:
-    """What is in a group of HDF5 as MATLAB writes it; `total` bytes were read before."""
+    """Return the contents of a MATLAB group in HDF5; `total` counts the bytes read so far."""
     import h5py
 
     out: dict[str, Any] = {}

@@ -1,27 +1,27 @@
-"""A log by its name: a folder or file of tables, or a TOML that says what of another file is which channel.
+"""Open a recording by its name: a folder or file of tables, or a TOML that maps the fields of another file to channels.
 
-    log = "flight.mcap"                 # beside the TOML: .bag, a folder or .db3 of ROS 2, .mcap, .ulg, .mat, .csv, .parquet
+    log = "flight.mcap"                 # next to the TOML: .bag, a folder or .db3 of ROS 2, .mcap, .ulg, .mat, .csv, .parquet
     [channels.y1]
-    topic = "/camera/pose"              # of what has topics
-    frame = "camera"                    # of /tf: the child frame
+    topic = "/camera/pose"              # for files with topics
+    frame = "camera"                    # for /tf: the child frame
     field = "pose.position.x"           # or formula = "yaw(pose.orientation)"
-    unit = "m"                          # it must be said: a bag does not
+    unit = "m"                          # required, as bags have no units
     scale = 1.0                         # the channel's value is scale times the field,
     offset = 0.0                        # plus this, such as minus the operating point
-    sampled = "header.stamp"            # the field that holds the stamp; left out: as `FORMATS` has it
-    period = 0.1                        # [s], instead of stamps: rows come at 0, 0.1, 0.2 ...
-    arrived = "received"                # the field that holds the arrival; "received": when the recorder got the message
-    delay = 0.05                        # [s], instead of arrived: every sample is so late after its stamp
-    clock_offset = 0.0                  # [s], added to the stamps
-    only_changes = false                # true: a value that equals the one before is not a measurement
-    std = "accuracy"                    # the field of each value's standard deviation, or
+    sampled = "header.stamp"            # field of the timestamp; default: that of the format
+    period = 0.1                        # [s], instead of timestamps: rows come at 0, 0.1, 0.2 ...
+    arrived = "received"                # field of the arrival time; "received": the receive time of the recorder
+    delay = 0.05                        # [s], instead of arrived: delay of every sample after its timestamp
+    clock_offset = 0.0                  # [s], added to the timestamps
+    only_changes = false                # true: a repeated value is not a measurement
+    std = "accuracy"                    # field of each value's standard deviation, or
     variance = "covariance.0"           # of its variance; before `scale`
     [inputs.u1]
-    [truth.position]                    # likewise, with t instead of sampled, and nothing for arrivals
+    [truth.position]                    # the same keys, with t instead of sampled, without arrivals
 
-Channels are in the order of the TOML. `time_unit` is of stamps that are plain numbers: "s" where it is left out. A row
-without a value (an empty cell, NaN, null) is no measurement. `period`, `time_unit` and the table `[csv]` are of the whole file.
-A TOML may also correct tables of measurements: see `corrections`.
+Channels are in the order of the TOML. `time_unit` applies to timestamps without a time type; default: "s". A row without a
+value (an empty cell, NaN, null) is not a measurement. `period`, `time_unit` and the table `[csv]` apply to the whole file. A
+TOML may also correct tables of measurements: see `corrections`.
 """
 
 import heapq

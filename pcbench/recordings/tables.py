@@ -1,13 +1,13 @@
-"""A log as tables: `measurements`, `inputs` and `truth` as CSV or Parquet, in a folder or beside each other.
+"""A log as tables: `measurements`, `inputs` and `truth` as CSV or Parquet, in a folder or next to each other.
 
     flight/measurements.parquet   flight/inputs.parquet   flight/truth.parquet
     flight.parquet                flight.inputs.parquet   flight.truth.parquet
 
 Measurements have the columns channel, sampled, arrived, value, and may have std, each value's standard deviation (empty for a
-channel that has none); inputs and truth have t and one column each. A head may say a unit of time, "sampled [ms]"; seconds
+channel that has none); inputs and truth have t and one column each. A head may contain a unit of time, "sampled [ms]"; seconds
 otherwise. Channels are in the order of the numbers in their names, y2 before y10.
 
-A simulated run is such a log too: what its samples brought and when, the input held over every tick, and the true state.
+`as_tables` writes a simulated run in this form: samples with arrival times, inputs held over ticks, and the true state.
 """
 
 import re

@@ -48,7 +48,7 @@ def thin_tables(
 
 
 def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
-    """Return recorded delays [s] for each of some channels: of the channel with its name, or of a log's one channel; NaN: lost."""
+    """Return recorded delays [s] for some channels: of the channel with this name, or of a log's only channel; NaN: lost."""
     batches = list(log.measurements())
     out = {}
     for name in channels:

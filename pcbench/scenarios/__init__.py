@@ -1,4 +1,4 @@
-"""The published experiments, as data: one file a plant, one dict for all. SI units; no jax."""
+"""The built-in scenarios as data: one file per plant, one dict for all. SI units; no jax."""
 
 from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.camera_target import CAMERA_TARGET

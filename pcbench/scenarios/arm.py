@@ -19,7 +19,7 @@ VARIANTS: dict[str, TomlTable] = {
     "hold": {"measurement": "hold"},
     "reconstruct": {"reconstruct": True},
 }
-LINEAR = {  # the arm of print without its weight's pull: the printed gains belong to it
+LINEAR = {  # the arm without gravity, for which the printed gains were computed
     "A": ((0, 1, 0, 0), (-3.75, -0.0015, 3.75, 0), (0, 0, 0, 1), (3.75, 0, -3.75, -0.00125)),
     "C": ((0, 1, 0, 0), (0, 0, 1, 0)),
     "E": ((0,), (1,), (0,), (0,)),

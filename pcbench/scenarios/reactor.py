@@ -1,13 +1,12 @@
-"""A batch reactor whose extended Kalman filter starts poorly: it believes in little A and much B, and finds negative pressures.
+"""A batch reactor with a poor initial estimate, little A and much B: an extended Kalman filter finds negative pressures.
 
 2 A <-> B with the total pressure measured every 0.1 s, x(0) = (3, 1) atm, xhat(0) = (0.1, 4.5) atm with a standard deviation of
 6 atm in each; noise of 0.1 atm a sample, process noise of 0.001 atm a sample. Decided here: a horizon of 30 s, the tail from
 15 s, no delay (it is an axis), a tick of 0.1 s, settled within 0.1 atm; a run has diverged beyond 1000 atm.
 
-`ekf-inflated-q` is the answer: it assumes 100 times the process noise (in standard deviation), because its slopes are wrong so
-far from the truth, and does not fail. `mhe-bounded` has the bound that pressures are not negative.
-Source: Haseltine, Rawlings 2005, also TWMCC report 2002-03; the answer after Schneider and Georgakis 2013, whose tuning is
-another.
+`ekf-inflated-q` does not fail. It assumes 100 times the process noise (in standard deviation), because its linearisation is
+wrong so far from the true state. `mhe-bounded` has the constraint that pressures are not negative. Source: Haseltine, Rawlings
+2005, also TWMCC report 2002-03. `ekf-inflated-q` follows Schneider and Georgakis 2013, with a different tuning.
 """
 
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth

@@ -1,8 +1,8 @@
-"""What a scenario is: what is true, what drives the plant, how it is measured, what is believed, how runs are judged.
+"""Scenarios: the true plant, its input, its measurement, the assumptions of designs, and the scoring of runs.
 
-All in seconds and SI units; n states, s unknowns beside them, q outputs, states in the plant's order. The fields of the five
-records have names of their own: an axis, a table's column or a user's option says `delay`, and `having` knows where it is. What
-an axis means, and its unit, is in `pcbench.fields`.
+All in seconds and SI units; n states, s unknown inputs or parameters, q outputs, states in the plant's order. The field names
+of the five records are unique. So an axis, a column or an option can refer to `delay`, and `having` finds its record. The
+meaning and unit of an axis are in `pcbench.fields`.
 """
 
 from collections.abc import Mapping
@@ -16,60 +16,60 @@ from pcbench.toml_text import TomlTable
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 ProcessNoise = tuple[float, ...] | tuple[tuple[float, ...], ...]
 PerChannel = float | tuple[float, ...]
-Rows = tuple[Any, ...]  # numbers, or tuples of numbers where channels differ
-LOST = "lost"  # among delays in turn: this sample never arrives
+Rows = tuple[Any, ...]  # numbers, or tuples of numbers if channels differ
+LOST = "lost"  # in `delay_sequence`: the sample is lost
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
 
 class Truth(NamedTuple):
-    """What is true of the plant and told to no observer."""
+    """True values of the plant, which observers do not use."""
 
     x0: tuple[float, ...]  # [n]
     parameter_drift: float = 0.0
-    parameters: Mapping[str, object] = NOTHING  # of the plant, where they differ from its own
-    process_std: ProcessNoise = ()  # [n], or a root [n, n] of the covariance of a tick's noise
-    unknown_input: Sources = ""  # what pushes, as `Loop.input` says it; empty: the plant has none
+    parameters: Mapping[str, object] = NOTHING  # of the plant, if they differ from its defaults
+    process_std: ProcessNoise = ()  # [n], or a root [n, n] of the covariance of the noise per tick
+    unknown_input: Sources = ""  # signal of the unknown input, in the form of `Loop.input`; empty: none
 
 
 class Loop(NamedTuple):
-    """What drives the plant: a signal, or a controller that closes the loop."""
+    """The input of the plant: a signal, or a controller that closes the loop."""
 
-    input: Sources = ""  # of an open loop: name in `signals`, or one for each with commas; or as data
+    input: Sources = ""  # of an open loop: name in `signals`, or one per input with commas; or as data
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, object] = NOTHING  # the controller's options
-    actuator_delay: float | None = None  # None: that of samples in a loop, else 0
+    actuator_delay: float | None = None  # None: in a closed loop the delay of the samples, else 0
     command_jitter: float = 0.0
     command_loss: float = 0.0
     command_std: float = 0.0
 
 
 def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
-    """Return what each output channel has of a field that is one number, or one for each channel."""
+    """Return the value of each output channel for a field that is one number, or one per channel."""
     return value if isinstance(value, tuple) else (value,) * channels
 
 
 def has_rows(value: object) -> TypeGuard[tuple[Any, ...]]:
-    """Return whether a list has a list for each output channel."""
+    """Return whether a list contains a list for each output channel."""
     return isinstance(value, list | tuple) and any(isinstance(row, list | tuple) for row in value)
 
 
 class Sampling(NamedTuple):
-    """How the plant is measured: when samples are taken, when they arrive, how noisy they are.
+    """The measurement of the plant: sampling times, arrival times, noise.
 
-    A `PerChannel` is one number for all, or [q] where the channels differ; m delay_values. What is [m] may have a tuple for
-    each of q channels; a channel whose tuples are empty has no additional delay.
+    A `PerChannel` is one number for all, or [q] if the channels differ; m delay_values. A field of size [m] may have a tuple
+    for each of q channels. A channel whose tuples are empty has no additional delay.
     """
 
     sampling_period: tuple[float, ...]  # [q]
     delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q]
-    noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: they are independent
-    sampling_pattern: str | tuple[float, ...] = "periodic"  # a name in `PROFILES`, or s in turn
+    noise_correlation: tuple[tuple[float, ...], ...] = ()  # [q, q] between channels; empty: independent
+    sampling_pattern: str | tuple[float, ...] = "periodic"  # a name in `PROFILES`, or intervals [s] that repeat
     sampling_jitter: PerChannel = 0.0
     delay_jitter: PerChannel = 0.0
     loss: PerChannel = 0.0
-    prefilled: bool = False  # measuring began before t = 0: the first sample arrives at 0; periods are of arrivals
-    delay_sine: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
+    prefilled: bool = False  # sampling began before t = 0: the first sample arrives at 0; periods are between arrivals
+    delay_sine: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t the arrival
     outlier_probability: PerChannel = 0.0
     outlier_scale: PerChannel = 10.0
     student_t_dof: float = inf
@@ -79,7 +79,7 @@ class Sampling(NamedTuple):
     delay_weights: Rows = ()  # [m]; empty: a chain
     delay_gamma_mean: PerChannel = 0.0
     delay_gamma_shape: PerChannel = 1.0  # 1: the distribution is exponential
-    quantization_step: tuple[float, ...] = ()  # [q]; empty, 0: samples are not rounded
+    quantization_step: tuple[float, ...] = ()  # [q]; empty, 0: no rounding
     dither: float = 0.0
     send_threshold: tuple[float, ...] = ()  # [q]; empty, 0: every sample is sent
     try_once_discard: float = 0.0
@@ -87,7 +87,7 @@ class Sampling(NamedTuple):
     sampling_phase: PerChannel = 0.0
     outage_start: PerChannel = 0.0
     outage_duration: PerChannel = 0.0
-    processor_speed: float = inf  # of each observer's own, which makes it late
+    processor_speed: float = inf  # of each observer's own processor, which delays the estimate
     timestamp_offset: float = 0.0
     clock_skew: float = 0.0
     timestamp_jitter: float = 0.0
@@ -95,37 +95,39 @@ class Sampling(NamedTuple):
 
     @property
     def sensors_decide(self) -> bool:
-        """Whether sensors decide which samples they send, if only by a threshold of 0."""
+        """Whether sensors decide which samples they send, even with a threshold of 0."""
         return bool(self.send_threshold or self.try_once_discard)
 
 
 class Belief(NamedTuple):
-    """What designers and observers assume."""
+    """Assumptions of designs and observers."""
 
     xhat0: tuple[float, ...]  # [n]
     prior_std: tuple[float, ...]  # [n] of x(0) about xhat(0): P0 is diagonal
-    model: Mapping[str, Any] = NOTHING  # the plant's parameters, where they differ from its own
-    drift_intensity: float = 0.0  # 1/s, process noise through the input where the plant drifts
-    unknown0: tuple[float, ...] = ()  # [s] at the start; empty: zeros
-    unknown_std: tuple[float, ...] = ()  # [s] their typical size
+    model: Mapping[str, Any] = NOTHING  # the plant's parameters, if they differ from its defaults
+    drift_intensity: float = 0.0  # 1/s, process noise through the input if the plant drifts
+    unknown0: tuple[float, ...] = ()  # [s] initial estimate; empty: zeros
+    unknown_std: tuple[float, ...] = ()  # [s] typical size
     assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
-    assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
+    assumed_process_std: tuple[float, ...] = ()  # [n] process noise for designs; empty: the true one
     assumed_delay_error: float = 0.0
     assumed_noise_scale: float = 1.0
-    initial_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
+    initial_box: tuple[
+        float, ...
+    ] = ()  # [n] with a random initial state, xhat(0) is drawn this close to x(0); empty: x(0) is drawn from P0
 
 
 class Scoring(NamedTuple):
-    """What runs are judged by: the signals, and when one has settled or diverged."""
+    """Scoring of runs: the signals, settling and divergence."""
 
-    settle_band: tuple[float, ...]  # [n + s + d], d errors of a user's own: a run has settled when |e| stays within
+    settle_band: tuple[float, ...]  # [n + s + d], d user-defined errors: a run has settled when |e| stays within it
     divergence_threshold: (
         float | tuple[float, ...]
-    )  # a run has diverged when an |e| leaves it; one for all, or [n + s + d]
-    steady_start: float = 3.0  # s, where the tail starts
-    signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where they differ from the plant's own
-    unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit), likewise
-    headline: tuple[str, ...] = ()  # signals that a closing table shows; empty: the first
+    )  # a run has diverged when |e| exceeds it; one for all, or [n + s + d]
+    steady_start: float = 3.0  # s, start of the tail
+    signals: tuple[tuple[str, str], ...] = ()  # (state, unit), if they differ from the plant's
+    unknowns: tuple[tuple[str, str], ...] = ()  # (unknown input or parameter, unit), if they differ from the plant's
+    headline: tuple[str, ...] = ()  # signals of the closing table; empty: the first
 
 
 RECORDS = {
@@ -137,11 +139,11 @@ RECORDS = {
 }
 STAMPS = ("timestamp_offset", "clock_skew", "timestamp_jitter")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
-CODE = ("own",)  # functions, which no digest and no file holds
+CODE = ("own",)  # functions, which are in no digest and no file
 
 
 class Scenario(NamedTuple):
-    """One published experiment."""
+    """A scenario: one experiment with its source."""
 
     name: str
     summary: str
@@ -156,10 +158,10 @@ class Scenario(NamedTuple):
     dt: float = 1e-3  # s, the tick
     duration: float = 10.0  # s
     options: Mapping[str, TomlTable] = NOTHING  # by observer
-    own: Mapping[str, Any] = NOTHING  # a user's own "plant", "controller" (entry, code); else as named
+    own: Mapping[str, Any] = NOTHING  # user-defined "plant", "controller" (entry, code); others as named
 
     def having(self, **changes: object) -> "Scenario":
-        """Return the scenario with fields changed, each in the record that has it; raise TypeError for one that none has."""
+        """Return the scenario with changed fields, each in its record; raise TypeError for an unknown field."""
         new: TomlTable = {}
         for name, value in changes.items():
             record = RECORD_OF.get(name)
@@ -172,13 +174,13 @@ class Scenario(NamedTuple):
         return self._replace(**new)
 
     def value(self, name: str) -> Any:
-        """Return the field of a name, from the record that has it."""
+        """Return the value of a field of any record."""
         return getattr(getattr(self, RECORD_OF[name]) if name in RECORD_OF else self, name)
 
     def flat(self) -> TomlTable:
-        """Return every field by its name, the records' among them: what digests are made of and `study.toml` says.
+        """Return every field by its name, including those of the records, for digests and `study.toml`.
 
-        Of a user's own code it is the digest.
+        For user-defined code the value is its digest.
         """
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
         fields = {name: value for name, value in self._asdict().items() if name not in (*RECORDS, *CODE)}

@@ -1,4 +1,4 @@
-"""Inputs as functions of time, in NumPy; each is read at the start of a tick and held over it."""
+"""Input signals as functions of time, in NumPy, sampled at the start of a tick and held over it."""
 
 import math
 from collections.abc import Callable
@@ -14,15 +14,15 @@ Signal = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # t[N] s -> u[N, 
 
 
 def sawtooth(t: NDArray[np.float64], amplitude: float = 10.0, period: float = np.pi) -> NDArray[np.float64]:
-    """Falling sawtooth, `amplitude` at t = 0 down to -amplitude: 10 (1 - 2 frac(t / pi)) by default, [N, 1].
+    """Return a falling sawtooth from `amplitude` at t = 0 to -amplitude: 10 (1 - 2 frac(t / pi)) by default, [N, 1].
 
-    Simulink's convention; the figure of the paper is lost. Source: Mohammed et al. 2017, section 6.
+    Simulink's convention; the figure of the paper was not obtained. Source: Mohammed et al. 2017, section 6.
     """
     return (amplitude * (1 - 2 * np.mod(t / period, 1.0)))[:, None]
 
 
 def rising(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rising sawtooth, the other reading of the same sentence: 10 (2 frac(t / pi) - 1), [N, 1]."""
+    """Return a rising sawtooth, the other reading of the same sentence: 10 (2 frac(t / pi) - 1), [N, 1]."""
     return -sawtooth(t)
 
 
@@ -47,23 +47,23 @@ def zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def heater(t: NDArray[np.float64], tick: float, power: float) -> NDArray[np.float64]:
-    """Net inflow [L/s] and heater power [W] of the stirred tank, [N, 2], by samples k = t / tick.
+    """Return net inflow [L/s] and heater power [W] of the stirred tank, [N, 2], by samples k = t / tick.
 
-    0.02 L/s for 20 samples, then -0.02; `power` for 30 samples, then -0.6 of it. Ours: the paper's figure is lost.
+    0.02 L/s for 20 samples, then -0.02; `power` for 30 samples, then -0.6 of it. Decided here: the paper has only a figure.
     """
     k = np.round(t / tick)
     return np.stack([np.where(k % 40 < 20, 0.02, -0.02), np.where(k % 60 < 30, power, -0.6 * power)], 1)
 
 
 def d1(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 0.25 sin(2 pi t), [N, 1]: what pushes the arm. Source: Peng 2017, section 5."""
+    """Return 0.25 sin(2 pi t), [N, 1], the unknown input of the arm. Source: Peng 2017, section 5."""
     return 0.25 * np.sin(2 * np.pi * t)[:, None]
 
 
 def d2(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 0.025 (2 |10 t - 20 floor(t/2) - 6.5| - 13), [N, 1]: the arm's saw-tooth, which falls from 0.35 to 0 every 2 s.
+    """Return 0.025 (2 |10 t - 20 floor(t/2) - 6.5| - 13), [N, 1]: the arm's sawtooth, which falls from 0.35 to 0 every 2 s.
 
-    Right-continuous; t must be a whole number of ticks times their length, never an accumulated time. Source: Peng 2017.
+    Right-continuous. t must be a number of ticks times their length, not an accumulated time. Source: Peng 2017.
     """
     return 0.025 * (2 * np.abs(10 * t - 20 * np.floor(0.5 * t) - 6.5) - 13)[:, None]
 
@@ -81,7 +81,7 @@ def still(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-PATHS: dict[str, Signal] = {"circle": circle, "still": still}  # what a controller follows: set point and derivatives
+PATHS: dict[str, Signal] = {"circle": circle, "still": still}  # paths for a controller: set point and derivatives
 
 SIGNALS: dict[str, Signal] = {
     "sawtooth": sawtooth,
@@ -98,7 +98,7 @@ SIGNALS: dict[str, Signal] = {
 }
 
 
-SINGLE = [name for name in SIGNALS if not name.startswith("heater")]  # of one column: what may push a plant unknown
+SINGLE = [name for name in SIGNALS if not name.startswith("heater")]  # with one column: possible unknown inputs
 
 JUMPS = {"sawtooth": np.pi, "rising": np.pi, "square": 1.0, "arm-sawtooth": 2.0}  # [s] from one to the next
 

@@ -1,4 +1,4 @@
-"""Inputs as data, where no name of `signals` says them: waves with an amplitude, and tables whose values are held."""
+"""Input sources as data, in addition to the names of `signals`: waves with an amplitude, and tables of held values."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-NEAR = 1e-9  # part of a cycle, or of a table's first interval, by which a time may be short of an edge
+NEAR = 1e-9  # tolerance at an edge, relative to a cycle or to a table's first interval
 
 
 class Wave(NamedTuple):
@@ -15,16 +15,16 @@ class Wave(NamedTuple):
 
     shape: str  # of SHAPES
     amplitude: float = 1.0  # in `unit`
-    frequency: float = 0.0  # [Hz]; 0: it does not repeat
+    frequency: float = 0.0  # [Hz]; 0: not periodic
     offset: float = 0.0  # in `unit`
     phase: float = 0.0  # [rad]
     unit: str = ""
 
 
 class Table(NamedTuple):
-    """Values that are held from their times on until the next; 0 before the first."""
+    """Values held from their times until the next; 0 before the first."""
 
-    t: tuple[float, ...]  # [K] s, growing
+    t: tuple[float, ...]  # [K] s, increasing
     u: tuple[tuple[float, ...], ...]  # [K, m]
 
 
@@ -43,7 +43,7 @@ JUMPS_A_CYCLE = {"square": 2, "sawtooth": 1, "rising": 1}
 
 
 def values(source: Wave | Table, t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what a source is at times t [N] s: [N, 1], or of a table [N, m]."""
+    """Return the values of a source at times t [N] s: [N, 1], or [N, m] for a table."""
     if isinstance(source, Wave):
         shape = SHAPES[source.shape](source.frequency * t + source.phase / (2 * np.pi))
         return (source.offset + source.amplitude * shape)[:, None]
@@ -53,13 +53,13 @@ def values(source: Wave | Table, t: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def units(given: Sources, many: int) -> list[str]:
-    """Return the unit of each of `many` inputs; empty where no wave says one."""
+    """Return the unit of each of `many` inputs; empty if no wave has one."""
     each = [""] if isinstance(given, str) else [part.unit if isinstance(part, Wave) else "" for part in given]
     return each if len(each) == many else each[:1] * many
 
 
 def jumps(source: Wave | Table, dt: float, ticks: int) -> list[int]:
-    """Return the first tick after every jump of a wave after t = 0, up to `ticks`; a table's are not told from its course."""
+    """Return the first tick after every jump of a wave after t = 0, up to `ticks`; empty for a table."""
     if not isinstance(source, Wave) or source.shape not in JUMPS_A_CYCLE or not source.frequency:
         return []
     each = JUMPS_A_CYCLE[source.shape]

@@ -57,7 +57,17 @@ def lti(system: object, *, name: str = "lti", **experiment: object) -> Study:
 
 
 def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":
-    """Convert a study's `[lti]` plant for SciPy."""
+    """Convert a study's `[lti]` plant for SciPy.
+
+    Args:
+        study: a study with an `[lti]` table, or one made by `lti`.
+
+    Returns:
+        scipy.signal's StateSpace of a continuous plant, or a dlti.
+
+    Raises:
+        UserError: the study has no such plant.
+    """
     from scipy import signal
 
     matrices, dt, _ = _plant(study)
@@ -65,7 +75,17 @@ def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":
 
 
 def to_control(study: Study) -> "control.StateSpace":
-    """Convert a study's `[lti]` plant for python-control."""
+    """Convert a study's `[lti]` plant for python-control.
+
+    Args:
+        study: a study with an `[lti]` table, or one made by `lti`.
+
+    Returns:
+        A control.StateSpace with the names of the states.
+
+    Raises:
+        UserError: the study has no such plant, or python-control is not installed (pip install "pcbench[control]").
+    """
     try:
         import control
     except ImportError:

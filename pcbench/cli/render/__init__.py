@@ -1,1 +1,1 @@
-"""What a person reads in the terminal: progress, tables of results, gains, folders, claims, what there is."""
+"""Terminal output: progress, tables of results, gains, folders, claims and lists."""

@@ -11,13 +11,13 @@ from pcbench.dataset.verify import Status, Verdict
 from pcbench.papers.claim import FINDING, NOT_OBTAINED, VERDICTS, Claim, counts
 from pcbench.statistics.number_format import mark_uncertified
 
-MOST = 8  # lines of a kind
-LONGEST = 40  # rows of a comparison; the rest is counted
+MOST = 8  # largest number of lines of one kind
+LONGEST = 40  # largest number of rows of a comparison; the rest is counted
 STYLES = dict(zip((*VERDICTS, FINDING, NOT_OBTAINED), ("green", "yellow", "red", "dim", "white", "dim"), strict=True))
 
 
 def status(found: Status, folder: str, screen: Screen) -> None:
-    """Print how far a study is."""
+    """Print the progress of a study."""
     shares = found.shares
     done = [f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-" for s in shares]
     columns = [
@@ -46,7 +46,7 @@ def status(found: Status, folder: str, screen: Screen) -> None:
 
 
 def verdict(found: Verdict, folder: str, screen: Screen) -> None:
-    """Print what a verification found."""
+    """Print the result of a verification."""
     screen.say(*found.wrong, *found.differing, *found.unlike)
     wrong = f"{len(found.wrong)} problem" + ("s" if len(found.wrong) > 1 else "")
     files = f"{found.files} blocks, {wrong}" if found.wrong else f"all {found.files} blocks are intact"
@@ -64,7 +64,7 @@ def verdict(found: Verdict, folder: str, screen: Screen) -> None:
 
 
 def against_exact(found: ExactValidation, screen: Screen) -> None:
-    """Print the verdict on simulated means, those that are off, and why others could not be compared."""
+    """Print the verdict on simulated means, the significant deviations, and the reasons for means without an exact value."""
     worst = found.wrong.assign(size=found.wrong.z.abs()).sort_values("size", ascending=False)
     for row in worst.head(MOST).to_dict("records"):
         at = ", ".join(str(row[name]) for name in KEY)
@@ -135,7 +135,7 @@ def claims(title: str, rows: list[Claim], screen: Screen) -> None:
 
 
 def every(found: dict[str, list[Claim]], titles: dict[str, str], screen: Screen) -> None:
-    """Print the claims of all papers, and how many of each verdict over all."""
+    """Print the claims of all papers, and the total of each verdict."""
     for name, rows in found.items():
         claims(titles[name], rows, screen)
     total = summary([row for rows in found.values() for row in rows])
@@ -143,7 +143,7 @@ def every(found: dict[str, list[Claim]], titles: dict[str, str], screen: Screen)
 
 
 def summary(rows: list[Claim]) -> str:
-    """Return how many of each verdict, in a sentence."""
+    """Return the number of each verdict, in a sentence."""
     many = counts(rows)
     each = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
     text = f"{sum(many[name] for name in VERDICTS)} claims: {each}; {many[FINDING]} findings that are in no paper."

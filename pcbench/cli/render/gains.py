@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pcbench.gains.tune import Tuning
     from pcbench.playback.tuning import LogTuning
 
-VARIANCES = ("R", "Q")  # whose root is a standard deviation
+VARIANCES = ("R", "Q")  # options whose root is a standard deviation
 
 
 def gains(design: Design, screen: Screen) -> None:
@@ -130,7 +130,7 @@ def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None
 def fair(table: pd.DataFrame, screen: Screen) -> None:
     """Print the metric with published, designed and tuned gains on training and held-out runs, and against the Kalman bound."""
     rows: list[TomlTable] = table.to_dict("records")  # type: ignore[assignment]
-    of_runs = bool(table.training_se.any())  # or expected values, which have no error
+    of_runs = bool(table.training_se.any())  # expected values have no error
     title = "{scenario}: {metric} of {signal} [{unit}], ".format(**rows[0])
     title += "training and held-out runs" if of_runs else "expected value and runs"
     bound = ["-" if np.isnan(r["rms_efficiency"]) else f"{100 * r['rms_efficiency']:.1f} %" for r in rows]

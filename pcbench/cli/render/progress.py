@@ -30,9 +30,9 @@ class Remaining(rich.TimeRemainingColumn):
 
 @contextmanager
 def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
-    """Yield a Progress that draws a line for each work begun, where standard error is a terminal and it is not to be quiet.
+    """Yield a Progress that draws a line per activity if standard error is a terminal and `quiet` is not set.
 
-    Work of unknown length, such as the `first`, leaves its line to the next; more of the same work lengthens its line.
+    An activity of unknown length, such as the `first`, is replaced by the next. More of the same work extends its line.
     """
     console = Console(stderr=True)
     if quiet or not console.is_terminal:

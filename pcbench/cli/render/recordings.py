@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from pcbench.playback.replay import ReplayResult
 
 MILLI = 1e3
-NOTHING = 1e-9  # what is less is rounding
+NOTHING = 1e-9  # smaller numbers are rounding
 Row = Mapping[Hashable, Any]  # of a frame, by column
 Rows = Sequence[Row]
 
 
 def channels(table: pd.DataFrame, screen: Screen) -> None:
-    """Print what is in a log."""
+    """Print the survey of a recording."""
     rows = table.to_dict("records")
     ends = ["{} to {}".format(*(_plain(row[k], MILLI) for k in ("delay_p05", "delay_p95"))) for row in rows]
     columns = [
@@ -54,7 +54,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
 
 
 def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
-    """Print what is in a file: one table per topic, one row per field."""
+    """Print the contents of a file: one table per topic, one row per field."""
     for _, mine in groupby(rows, key=lambda row: (row["topic"], row["frame"])):
         fields = list(mine)
         first = fields[0]
@@ -143,7 +143,7 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
 
 
 def _with_unit(axis: str) -> str:
-    """The name of an axis with its unit, in two lines."""
+    """Return the name of an axis with its unit, in two lines."""
     unit = next((field.unit for field in fields.FIELDS if field.name == axis), "")
     return f"{axis}\n[{unit}]" if unit not in ("", "1") else axis
 
@@ -188,7 +188,7 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, s
         Column("largest diff.", [f"{single[name].most:.2g}" for name in names], spare=1),
         Column("rms error", [f"{single[name].error:.6g}" for name in names]),
     ]
-    if all(math.isnan(each.error) for each in (*double.values(), *single.values())):  # of a recording without the truth
+    if all(math.isnan(each.error) for each in (*double.values(), *single.values())):  # a recording without truth
         columns = [column for column in columns if column.head != "rms error"]
     newer = f"at most {about.newer}" if about.newer else "no"
     oldest = (

@@ -1,6 +1,6 @@
 """Closing tables of a study: ranked observers with differences and significance, filter consistency, and run times.
 
-Heads are the names of the tables' columns.
+The heads are the column names of the tables.
 """
 
 from collections import Counter
@@ -20,21 +20,21 @@ from pcbench.statistics.number_format import as_good, difference, fraction, inte
 from pcbench.statistics.ranking import by_cell, most_often, standing, stood
 from pcbench.study import scenarios_of, title_of_scenario
 
-LONGEST = 48  # rows of a closing table; beyond, wins are counted instead
-LONGEST_CONSISTENCY = 24  # rows; beyond, verdicts are counted
-# least first, where there are such
+LONGEST = 48  # largest number of rows of a closing table; for more, wins are counted
+LONGEST_CONSISTENCY = 24  # largest number of rows; for more, verdicts are counted
+# columns in this order, if they exist
 BESIDE = (
     *("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency"),
     *("interval_coverage", "interval_width", "sent_fraction"),
 )
-COST = ("sample", "tick", "memory")  # what observers cost
+COST = ("sample", "tick", "memory")  # operation counts of observers
 LESS = "diff. to best"
 PAIRED = f"'{LESS}' compares runs with the same noise; = is not significant (paired t-test, Holm, 5 %)."
 EXACT = "Numbers without ± are exact: expected values over all noise. Metrics that need runs are left out."
 COSTS = "sample, tick: multiplications per sample and per tick of one run; memory: bytes stored from tick to tick."
 HALF = "± is half the width of a 95 % interval. An asymmetric interval is written as (lower .. upper)."
-SQUARE = "signal_nees"  # of the closing table
-SQUARES = ("nees", "nis")  # of the table below it
+SQUARE = "signal_nees"  # in the closing table
+SQUARES = ("nees", "nis")  # in the consistency table
 MEANS = (
     "nees is the squared error divided by its covariance, nis the squared innovation divided by its covariance, both per "
     "degree of freedom. In brackets: the 95 % band if the covariance is correct."
@@ -42,7 +42,7 @@ MEANS = (
 
 
 class View(NamedTuple):
-    """What a closing table shows of a scenario: one signal of it."""
+    """One signal of a scenario in a closing table."""
 
     scenario: Scenario
     stats: pd.DataFrame  # of this signal
@@ -52,7 +52,7 @@ class View(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Return scenario, signal with its unit, and runs, or the schedules that exact numbers are averaged over."""
+        """Return scenario, signal with its unit, and number of runs; for exact numbers the number of averaged schedules."""
         ranked = self.stats[self.stats.metric == self.metric]
         runs = ranked[ranked.method == "runs"]
         many, drawn = int((runs.n + runs.diverged).max() if len(runs) else 0), int(ranked.n.max())
@@ -68,9 +68,9 @@ class View(NamedTuple):
 def closing(
     result: Result, screen: Screen, metric: str, signals: list[str] | None = None, costs: pd.DataFrame | None = None
 ) -> None:
-    """Print who was better and how significantly, the least mean `metric` first; with `costs`, what observers cost.
+    """Print the ranking of observers with its significance, the smallest mean `metric` first; with `costs`, operation counts.
 
-    Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
+    For each scenario the `signals` that it has; None: its main signals; an empty list: all.
     """
     stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
     metric = result.ranks(metric)
@@ -81,7 +81,7 @@ def closing(
         chosen = usual if signals is None else signals or existing
         for signal in [s for s in chosen if s in existing]:
             own = rows.signal == signal
-            part = pd.concat([rows[own], rows[~own & rows.metric.isin(OF_RUN)]])  # of those each run has one number
+            part = pd.concat([rows[own], rows[~own & rows.metric.isin(OF_RUN)]])  # metrics with one number per run
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
             shown = known[name]._replace(name=title_of_scenario(result.study, name))
             view = View(shown, part, met, metric, None if costs is None else costs[costs.scenario == name])
@@ -103,7 +103,7 @@ def closing(
 
 
 def _print_cells(view: View, screen: Screen) -> list[str]:
-    """Print the cells in one table, or where that is too wide each in its own; return what a reader has to know of them."""
+    """Print the grid points in one table, or separately if that is too wide; return notes for the reader."""
     names = list(view.stats.columns)
     varied = names[names.index("cell") + 1 : names.index("signal")]
     axes = [a for a in varied if view.stats[a].astype(str).nunique() > 1]
@@ -128,7 +128,7 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
 
 
 def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
-    """The columns of some cells, best observers first: what ranks them, by how much, and what else there is."""
+    """Return the columns for some grid points, best observers first: the metric, the difference to the best, and others."""
     metric, costs = view.metric, view.costs
     filled = set(view.stats.metric[view.stats["mean"].notna()])
     exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - filled else []
@@ -159,7 +159,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
                 values[name].append(text)
 
     def head(name: str) -> str:
-        """A metric's name, with its unit where that is not the signal's, and what it is of its runs if that is no mean."""
+        """Return a metric's name, with its unit if it differs from the signal's, and its statistic if that is not the mean."""
         own = unit_of(name, view.unit)
         unit = f" [{own}]" if own not in (view.unit, "1") else ""
         return f"median\n{name}{unit}" if name == "settling_time" and name != metric else name + unit
@@ -185,17 +185,17 @@ def _format_metric(wide: pd.DataFrame, observer: str, metric: str, horizon: floa
 
 
 def format_settling_time(row: Any, horizon: float) -> str:
-    """Return the median settling time; 'never' where most runs were outside their band at the end."""
+    """Return the median settling time; 'never' if most runs were outside their band at the end."""
     return "never" if row["p50"] >= horizon else plain(row["p50"], ".3g")
 
 
 def _axis_value(value: object) -> str:
-    """A value of an axis; one for each channel with commas."""
+    """Return a value of an axis as text; one per channel with commas."""
     return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
 
 
 def _count_wins(view: View, screen: Screen) -> list[str]:
-    """Print how many cells each observer wins; return what a reader has to know."""
+    """Print how many grid points each observer wins; return notes for the reader."""
     part, metric, name = view.stats[view.stats.metric == view.metric], view.metric, view.scenario.name
     met = by_cell(view.pairs)
     leaders = [stood(rows, met.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
@@ -255,14 +255,14 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
 
 
 def _judgement(wide: Any, observer: str, metric: str) -> str:
-    """A mean normalised square with its verdict, of rows by observer and metric; empty where there is none."""
+    """Return a mean normalized square with its verdict, from rows by observer and metric; empty if there is none."""
     if (observer, metric) not in wide.index or np.isnan(found := wide.loc[(observer, metric), "mean"]):
         return ""
     return f"{found:.3g} {verdict(found, _band(wide, observer, metric))}"
 
 
 def _band(wide: Any, observer: str, metric: str) -> Band:
-    """Where the mean lies of a true covariance; of what is exact at 1."""
+    """Return the interval of the mean for a correct covariance; 1 for an exact value."""
     if (observer, BANDS[metric]) not in wide.index:
         return exact_band()
     row = wide.loc[(observer, BANDS[metric])]
@@ -270,7 +270,7 @@ def _band(wide: Any, observer: str, metric: str) -> Band:
 
 
 def sentence(result: Result, folder: str) -> str:
-    """Return the time of a run, in a sentence."""
+    """Return the duration of a run, in a sentence."""
     p = result.provenance
     if not result.cost.runs and result.exact and not p["blocks"]:
         cells = result.stats.groupby(["scenario", "cell"]).ngroups

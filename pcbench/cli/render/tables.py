@@ -1,4 +1,4 @@
-"""Tables for the terminal: a number is never cut. In a narrow terminal, columns are left out, or follow in a table below.
+"""Tables for the terminal. Numbers are never cut: in a narrow terminal, columns are left out, or printed in a further table.
 
 Also JSON with arrays, complex numbers and tuples.
 """
@@ -19,24 +19,24 @@ from rich.text import Text
 from pcbench.errors import printable
 from pcbench.statistics.number_format import UNPROVEN, estimate, mark_uncertified
 
-PROSE = 24  # letters of a line of prose, at least
+PROSE = 24  # smallest width of a line of prose, in characters
 
 
 class Column(NamedTuple):
-    """A column of a table that fits: it goes before those of a lower `spare`; one of 0 stays."""
+    """A column of a table that fits the terminal: columns with higher `spare` are left out first; 0 always stays."""
 
     head: str
     cells: Sequence[str | Text]
     spare: int = 0
     left: bool = False  # text, not numbers
-    bold: frozenset[int] = frozenset()  # numbers of the rows in which it is
-    prose: bool = False  # sentences, whose lines break between words
+    bold: frozenset[int] = frozenset()  # rows in bold
+    prose: bool = False  # sentences, which may be broken between words
 
 
 class Screen(Console):
-    """A terminal that prints text as it is: no text of a study is markup, and what cannot be printed is its escape.
+    """A terminal that prints text literally: a study's text is not markup, and unprintable characters are escaped.
 
-    What has a style is a `rich.text.Text`, or is printed with `style`.
+    Styled text is a `rich.text.Text`, or is printed with `style`.
     """
 
     def __init__(self, **given: Any):
@@ -47,7 +47,7 @@ class Screen(Console):
         return super().render_str(printable(text, but="\n"), **given)
 
     def say(self, *sentences: str) -> None:
-        """Print sentences, each on a line that the terminal breaks, so that it can be copied as one."""
+        """Print sentences, each as one line that the terminal breaks, so that it can be copied."""
         for sentence in sentences:
             self.print(sentence, soft_wrap=True)
 
@@ -84,7 +84,7 @@ class Screen(Console):
         return out[::-1]
 
     def _parts(self, columns: list[Column]) -> list[list[Column]]:
-        """Divide columns into tables that have room, each with the columns of text that come first; one is never empty."""
+        """Return columns divided into tables that fit, each with the leading text columns; a table is never empty."""
         first = list(takewhile(lambda c: c.left and not c.prose, columns))
         parts = [first]
         for column in columns[len(first) :]:
@@ -94,7 +94,7 @@ class Screen(Console):
         return parts
 
     def _print_blocks(self, columns: list[Column]) -> None:
-        """Print each row as lines of a head and its cell, the first of them in bold."""
+        """Print each row as lines of a head and its cell, the first in bold."""
         for i in range(len(columns[0].cells)):
             for j, c in enumerate(columns):
                 head, cell = " ".join(c.head.split()), c.cells[i]
@@ -105,21 +105,21 @@ class Screen(Console):
         self.print()
 
     def fits(self, columns: list[Column]) -> bool:
-        """Return whether the columns that stay fit into the terminal."""
+        """Return whether the columns that cannot be left out fit into the terminal."""
         return self._needs([c for c in columns if not c.spare]) <= self.width
 
     def _needs(self, columns: list[Column]) -> int:
-        """The columns of the terminal that a table needs so that no number and no word of it is cut."""
+        """Return the width that a table needs so that no number and no word is cut."""
         return Measurement.get(self, self.options.update_width(10_000), _table(columns, None)).maximum
 
 
 def left_out(heads: list[str]) -> str:
-    """Return a sentence that names the columns that have no room."""
+    """Return a sentence that names the columns left out."""
     return f"Left out for lack of space: {', '.join(heads)}."
 
 
 def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) -> Table:
-    """Return columns as a table: those of prose as narrow as their words, or by up to `spare` letters wider."""
+    """Return columns as a table: prose columns have the least width, plus up to `spare` characters."""
     table, cells = Table(box=SIMPLE_HEAD, pad_edge=False), []
     for c in columns:
         width = None
@@ -143,7 +143,7 @@ def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) ->
 
 
 def _prose_widths(c: Column) -> tuple[int, int]:
-    """Return the least width of a column of prose, in which no word is cut, and the width of its longest text."""
+    """Return the least width of a prose column without cut words, and the width of its longest text."""
     texts = [Text(printable(str(text), but="\n")) for text in (c.head, *c.cells)]
     natural = max(text.cell_len for text in texts)
     words = max((cell_len(word) for text in texts for word in text.plain.split()), default=1)
@@ -151,7 +151,7 @@ def _prose_widths(c: Column) -> tuple[int, int]:
 
 
 def align_intervals(cells: Sequence[str], at: str = " ± ") -> list[str]:
-    """Return numbers with their intervals aligned at the sign, so that both can be read down."""
+    """Return numbers with their intervals aligned at the sign."""
     parts = [cell.partition(at) for cell in cells]
     left = max((len(a) for a, sign, _ in parts if sign), default=0)
     right = max((len(c) for _, sign, c in parts if sign), default=0)
@@ -163,7 +163,7 @@ def align_intervals(cells: Sequence[str], at: str = " ± ") -> list[str]:
 
 
 def plain(value: float | None, form: str = ".4g") -> str:
-    """Return a number; '-' where there is none."""
+    """Return a number as text; '-' if there is none."""
     return "-" if value is None or value != value else f"{value:{form}}"
 
 

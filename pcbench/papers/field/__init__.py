@@ -1,7 +1,7 @@
 """Standard examples of the field: numbers that a reader can check, each with its source and a mark.
 
-[V]: the number was computed by a program that shares no code with pcbench. [S]: it was seen in a public source. A number that
-nobody could read in its source is no claim: it is in `unobtained`. To add a claim, add one line to the `rows` of its example.
+[V]: computed by a program that shares no code with pcbench. [S]: seen in a public source. A number whose source could not be
+read is not a claim but an entry of `unobtained`. To add a claim, add one line to the `rows` of its example.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
 
 
 def claims() -> list[Claim]:
-    """Return reference against reproduced, for `pcbench reproduce field`."""
+    """Return the claims for `pcbench reproduce field`."""
     with config.float64():
         return [*of(EXAMPLES), *of(RUNS), *unobtained.rows()]
 

@@ -1,8 +1,8 @@
-"""The coordinated turn: errors of the cubature filter, and those of the extended filter without the runs that it loses.
+"""The coordinated turn: errors of the cubature filter, and errors of the extended filter without the runs it loses.
 
-The numbers of an independent program are of 250 runs and 100 steps each: of one seed or of two. `reproduced` is within three
-standard errors of the difference of two such numbers, each of as many runs. The standard error is that of 250 runs of pcbench.
-The program draws the estimate's start about x(0), pcbench draws x(0) about the estimate's start.
+The reference numbers are from 250 runs of 100 steps of an independent program, with one seed or two. `reproduced` means within
+three standard errors of the difference of two such numbers. The standard error is that of 250 runs of pcbench. The program
+draws xhat(0) about x(0); pcbench draws x(0) about xhat(0).
 """
 
 import numpy as np

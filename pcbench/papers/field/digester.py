@@ -1,8 +1,8 @@
-"""The digester: its rest points, and what the abstract of the tutorial says of delay, start, mismatch, noise and tuning.
+"""The digester: its equilibria, and the abstract's statements on delay, initial state, mismatch, noise and tuning.
 
-The abstract was seen; the text, with its tables, was not obtained. Its statements are tried on `digester/multirate`, which has
-the equations and constants of an earlier program. An error is the root of the mean, over the twelve states and the runs, of
-their mean square errors after two days, each divided by the square of its level at rest; in percent.
+The abstract was seen; the text and its tables were not obtained. The statements are tested on `digester/multirate`, which has
+the equations and constants of an earlier program. An error is the root mean square over the twelve states and the runs after
+two days, each state relative to its equilibrium; in per cent.
 """
 
 import numpy as np

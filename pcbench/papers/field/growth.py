@@ -76,7 +76,7 @@ def _mean(stats: pd.DataFrame, reference: Reference, runs: str, source: str) -> 
 
 
 def _coverage() -> Iterator[Claim]:
-    """How often |e| < 1.96 sigma over the steps of a run from x(0) = 0.1; the estimate starts within 0.1 of it."""
+    """Yield the share of steps with |e| < 1.96 sigma in a run from x(0) = 0.1; the initial estimate is within 0.1 of it."""
     study: TomlTable = {
         "name": "coverage",
         "scenario": {"base": "growth-model/gordon", "initial_box": [0.1]},

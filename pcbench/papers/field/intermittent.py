@@ -55,11 +55,11 @@ def sufficient_rate(A: Matrix, C: Matrix) -> float:
 
 
 def _growth(A: Matrix, C: Matrix, p: float, rounds: int = 400) -> float:
-    """The growth of X+ = A X A' - p A X C' inv(C X C') C X A' per step, in its limit."""
+    """Return the growth per step of X+ = A X A' - p A X C' inv(C X C') C X A' in the limit."""
     X, size = np.eye(len(A)), 1.0
     for _ in range(rounds):
         gain = A @ X @ C.T
         X = A @ X @ A.T - p * gain @ np.linalg.solve(C @ X @ C.T, gain.T)
         size = float(np.trace(X))
-        X = (X + X.T) / (2 * size)  # rounding that is not symmetric would grow
+        X = (X + X.T) / (2 * size)  # asymmetric rounding errors would grow
     return size

@@ -1,9 +1,9 @@
 """Learned filters: where a network's gain is worse than a Kalman filter's, and where it is better.
 
-Three experiments have the settings of the authors' public programs; the networks are ours (`pcbench.external.gain_network`), so
-a claim of their papers is determined here only where a small network already decides it. Floors are computed with the filter
-that is given the true model and covariances. Networks and tuned filters are trained on draws of their own; `RUNS` other runs
-are compared in pairs.
+Three experiments have the settings of the authors' public programs. The networks are those of `pcbench.external.gain_network`.
+So a claim of the papers is determinable here only if a small network already decides it. Lower bounds are computed with the
+filter that uses the true model and covariances. Networks and tuned filters are trained on separate random numbers. `RUNS` other
+runs are compared in pairs.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,17 +24,17 @@ KALMANNET = "Revach et al., arXiv 2107.10043"
 RECURSIVE = "Mortada et al., arXiv 2506.11639"
 RUNS = 400  # compared
 FLOOR, KNOWN_FLOOR = -1.922, 0.03683  # [V] dB; mean square
-TUNED = np.arange(1.0, 2.01, 0.1)  # times the standard deviation of the process noise
+TUNED = np.arange(1.0, 2.01, 0.1)  # factors on the standard deviation of the process noise
 LONG = Training(steps=1000)
 F = np.array([[1.0, 1.0], [0.0, 1.0]])  # of both linear cases
-WIDE, NARROW, SHARE = 1.25, 0.39528, 0.6  # standard deviations of the bimodal noise, and how often it is wide
+WIDE, NARROW, SHARE = 1.25, 0.39528, 0.6  # standard deviations of the bimodal noise, and share of the wide one
 
 
 class Compared(NamedTuple):
     """Mean square errors of runs, paired."""
 
     mean: float
-    difference: float  # from the filter that it is compared with
+    difference: float  # to the filter it is compared with
     se: float  # of the difference
 
 
@@ -115,7 +115,7 @@ def constant_velocity() -> System:
 def kalman(
     system: System, R: Float[Array, "N q q"], Q: Float[Array, "n n"], y: Float[Array, "N q"]
 ) -> Float[Array, "N n"]:
-    """Return the estimates of the extended Kalman filter with a covariance of its own for each measurement."""
+    """Return the estimates of the extended Kalman filter with a separate covariance for each measurement."""
 
     def tick(carry: tuple[Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
         (x, P), (y, R) = carry, now
@@ -142,7 +142,7 @@ def square(estimate: Callable[[Array], Array], x: Array, y: Array) -> NDArray[np
 
 
 def compare(each: NDArray[np.float64], other: NDArray[np.float64]) -> Compared:
-    """Compare the errors of the same runs."""
+    """Return the paired comparison of errors of the same runs."""
     d = each - other
     return Compared(float(each.mean()), float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d))))
 
@@ -187,7 +187,7 @@ def _lorenz() -> Iterator[Claim]:
 
 
 def _against_extended(system: System, model: str) -> Claim:
-    """Compare with the extended filter, as it is given and with the Q that is best on other runs."""
+    """Return the comparison with the extended filter, with the given Q and with the Q that is best on other runs."""
     x, y = runs_of(system, 1, RUNS)
     mine = square(partial(estimates, system, train(system)), x, y)
     given = compare(mine, square(partial(extended, system), x, y))
