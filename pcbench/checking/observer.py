@@ -201,9 +201,9 @@ def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ag
     u[inputs_from:] += 1.0
     plan = p.schedule
     if ages_from is not None:
-        believed = np.array(plan.believed)
-        believed[ages_from:] = np.maximum(believed[ages_from:] - 1, 0)
-        plan = plan._replace(believed=believed)
+        timestamp = np.array(plan.timestamp)
+        timestamp[ages_from:] = np.maximum(timestamp[ages_from:] - 1, 0)
+        plan = plan._replace(timestamp=timestamp)
     plain = _estimates(t, case)
     other = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
     return np.array_equal(plain[: k + 1], other[: k + 1], equal_nan=True)

@@ -88,7 +88,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
     study, numbers = grid.study, {name: dict[int, str]() for name in grid.study.scenarios}
     for b in blocks:
         about, cells = block_files.about_block(target, b), [c for c in grid.cells if c.scenario.name == b.scenario]
-        options = {label: digest for c in cells[:1] for label, digest in c.told.items()}
+        options = {label: digest for c in cells[:1] for label, digest in c.options_digests.items()}
         wrong = {
             "it cannot be read": not about,
             f"study: {about.get('study')} there, {study.name} here": about.get("study") != study.name,

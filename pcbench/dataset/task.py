@@ -144,7 +144,7 @@ def block(
         "root_seed": work.root_seed,
         "cell": p.cell.digest,
         "observer": label,
-        "options": p.cell.told[label],
+        "options": p.cell.options_digests[label],
         "first": seeds.first,
         "last": seeds.stop,
         "metrics": {m: len(results[m]) for m in statistics.RUN_METRICS if m in results},

@@ -68,8 +68,8 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
 
     values, notes = state.flight
     flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.snapshot[k], noted))
-    for more in range(plan.also.shape[1]):
-        flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
+    for more in range(plan.extra_snapshots.shape[1]):
+        flight = flight._replace(notes=put(flight.notes, plan.extra_snapshots[k, more], noted))
 
     def tell() -> PyTree:
         return lane_array.match_form(
@@ -79,7 +79,7 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     def deliver(slot: Array, memories: PyTree) -> PyTree:
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
-        mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.believed[k, slot])
+        mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.timestamp[k, slot])
         row = ArrivalInfo(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
 
         def jumped(memories: PyTree) -> PyTree:

@@ -92,7 +92,7 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
     plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
     taken = _queue(plan.taken * rows)
-    stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
+    stamped = _queue(plan.timestamp * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
     events = Events(
         layout=layout,
         p=p,
@@ -214,7 +214,7 @@ def _row(events: Events, k: Array, c: Chunk, which: Array) -> ArrivalInfo:
     plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
     return ArrivalInfo(
         mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
-        age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
+        age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.timestamp, which, c.lane), 0), number.shape)),
         number=lane_array.split(number),
         ticks_since_arrival=lane_array.split(_at(plan.ticks_since_arrival, c.row, c.lane)),
     )

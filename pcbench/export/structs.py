@@ -155,7 +155,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
         sense=schedule.snapshot,
         sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0) & sent,
         arrive=np.where(mask.any(-1), schedule.arrive, -1),
-        taken=schedule.believed,
+        taken=schedule.timestamp,
         mask=mask,
         number=schedule.number,
         value=values[schedule.arrive],

@@ -117,7 +117,7 @@ def find_limit(
         most = BUDGET * q.study.seeds if max_seeds is None else max(max_seeds, q.study.seeds)
         folder = str(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-")) if out is None else out)
         q = _with_gains(q, (scale.also or (scale.low,))[0], folder, overwrite, progress)
-        earlier = [] if overwrite else stands(folder, q)
+        earlier = [] if overwrite else stored_values(folder, q)
         scale = scale._replace(also=(*scale.also, *earlier))
         look = looking(q, folder, How(overwrite=overwrite, progress=progress, say=say))
         found = search(look, scale, threshold, most)
@@ -200,7 +200,7 @@ class Refusals(NamedTuple):
     gains: dict[tuple[str, float], str]  # the observer has no gains at this value
 
 
-def stands(folder: str | Path, q: Question) -> list[float]:
+def stored_values(folder: str | Path, q: Question) -> list[float]:
     """Return the values of the axis already stored in a folder; empty if it contains no study."""
     target = storage.target(str(folder))
     if storage.text(target, manifest.TEXT) is None:

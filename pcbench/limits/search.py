@@ -115,11 +115,11 @@ def gaps(found: list[Point], scale: Scale) -> list[float]:
 
 def doubts(found: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
     """Return the number of seeds by value, where more seeds may decide an observer's verdict."""
-    beside = [p for pair in brackets(found, scale) for p in pair]
+    neighbours = [p for pair in brackets(found, scale) for p in pair]
     if answer(found).largest is None:
-        beside.append(found[0])
-    wanted = {p.value: min(_enough(p, limit), most) for p in beside if p.verdict == UNDECIDED}
-    runs = {p.value: p.runs for p in beside}
+        neighbours.append(found[0])
+    wanted = {p.value: min(_enough(p, limit), most) for p in neighbours if p.verdict == UNDECIDED}
+    runs = {p.value: p.runs for p in neighbours}
     return {value: many for value, many in wanted.items() if many > runs[value]}
 
 

@@ -122,14 +122,14 @@ def happen(by: Batch, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     number = jnp.stack([now.sense] * q + [now.snapshot] * (m.flight.shape[2] - q))
     rows = jnp.arange(m.flight.shape[1])[:, None, None]
     here = rows == _place(number, m)[None]
-    for more in now.also:
+    for more in now.extra_snapshots:
         noted = rows == _place(more, m)[None, None]
         here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
     m = take_samples(by, k, m, here)
     m = _notify(by, k, now.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
 
     def deliver(slot: Array, m: Moving) -> Moving:
-        row = ArrivalInfo(now.mask, k - now.believed, now.number, now.ticks_since_arrival)
+        row = ArrivalInfo(now.mask, k - now.timestamp, now.number, now.ticks_since_arrival)
         number, row = jax.tree.map(lambda a: a[slot], (now.arrive, row))
         return _deliver(
             by, k, number, row._replace(age=jnp.broadcast_to(row.age[None], row.mask.shape)), m, noise[:, slot]

@@ -35,11 +35,11 @@ class Event(NamedTuple):
     snapshot: Numbers  # [C]
     sampled: Numbers  # [q, C] the channels that are sampled
     arrive: Numbers  # [S, C]
-    believed: Numbers  # [S, C] assumed sampling tick
+    timestamp: Numbers  # [S, C] assumed sampling tick
     mask: Numbers  # [S, q, C]
     number: Numbers  # [S, q, C]
     ticks_since_arrival: Numbers  # [S, C]
-    also: Numbers  # [M, C] further packets with the same timestamp
+    extra_snapshots: Numbers  # [M, C] further packets with the same timestamp
 
 
 class Plan(NamedTuple):
@@ -100,11 +100,11 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
         snapshot=s.snapshot[at],
         sampled=s.sample[at] >= 0,
         arrive=s.arrive[at],
-        believed=s.believed[at],
+        timestamp=s.timestamp[at],
         mask=s.mask[at],
         number=s.number[at],
         ticks_since_arrival=s.ticks_since_arrival[at],
-        also=s.also[at],
+        extra_snapshots=s.extra_snapshots[at],
     )
 
 

@@ -68,7 +68,7 @@ def _pad_schedules(each: list[Realisation]) -> list[Realisation]:
     """Return realisations whose schedules are padded to one shape."""
     slots = max(one.problem.schedule.arrive.shape[1] for one in each)
     early = max(len(one.problem.schedule.early) for one in each)
-    notes = max(one.problem.schedule.also.shape[1] for one in each)
+    notes = max(one.problem.schedule.extra_snapshots.shape[1] for one in each)
     wide = [common_times.pad_early(common_times.pad_slots(one.problem.schedule, slots), early) for one in each]
     wide = [common_times.pad_notes(one, notes) for one in wide]
     return [one._replace(problem=one.problem._replace(schedule=s)) for one, s in zip(each, wide, strict=True)]

@@ -35,7 +35,7 @@ from pcbench.toml_text import TomlTable
 from pcbench.value_cache import key_of
 
 
-def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.anew) -> NDArray[np.float64] | None:
+def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.uncached) -> NDArray[np.float64] | None:
     """Return the Bayesian bound of the RMSE over the tail, [n], or None if it does not apply.
 
     It applies to the true linear model with a deterministic schedule, Gaussian noise and Gaussian initial states.
@@ -131,7 +131,7 @@ def _groups(cell: Cell, ask: memo.Once, limited: bool, apart: bool, asked: bool)
     return [group for group in groups if group[1]] or [(cell, {})]
 
 
-def slowed(cell: Cell, label: str, ask: memo.Once = memo.anew) -> Cell:
+def slowed(cell: Cell, label: str, ask: memo.Once = memo.uncached) -> Cell:
     """Return a grid point with the samples that an observer's processor has time for (`processor`)."""
     s, speed, usual = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
     if not isfinite(speed):
@@ -164,7 +164,7 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
 
 
 def draft(
-    cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: memo.Once = memo.anew
+    cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: memo.Once = memo.uncached
 ) -> Plan:
     """Return the plan of one grid point for the observers in `options`; `padding.fit` gives it a common shape later."""
     s, known = cell.scenario, known or setting(cell, ask)

@@ -32,15 +32,15 @@ def prepare_params(plant: PlantSpec, numbers: Params, dt: float, ticks: int, ask
     return ask("params", key, make)
 
 
-def setting(cell: Cell, ask: memo.Once = memo.anew) -> DesignContext:
+def setting(cell: Cell, ask: memo.Once = memo.uncached) -> DesignContext:
     """Return the design context: the nominal model and the assumed delay and noise, independent of the true plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
     plant, many = entry_of(s), len(belief.unknown_std)
-    told = (plant.model, plant.successor, plant.sensor, plant.parts, plant.output_residual)
-    params = prepare_params(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
-    field, successor, sensor, parts, residual = (Partial(each, params) if each else None for each in told)
+    functions = (plant.model, plant.successor, plant.sensor, plant.parts, plant.output_residual)
+    params = prepare_params(plant, numbers_of(s), s.dt, n, ask) if any(functions) else None
+    field, successor, sensor, parts, residual = (Partial(each, params) if each else None for each in functions)
     for clock in clocks:
         each = clock.profile if isinstance(clock.profile, tuple) else (clock.period,)
         for j in clock.channels:

@@ -114,13 +114,13 @@ def network(cell: Cell) -> command_network.Numbers | tuple[()]:
     s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
         return ()
-    told = controller_table.controller_context(s)
+    context = controller_table.controller_context(s)
     return command_network.Numbers(
-        every=np.asarray(told.every(getattr(options(cell), "period", None))),
+        every=np.asarray(context.every(getattr(options(cell), "period", None))),
         delay=np.asarray(times.to_ticks(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.to_ticks(loop.command_jitter, s)),
         loss=np.asarray(loop.command_loss),
-        std=np.full(told.model.B.shape[1], loop.command_std),
+        std=np.full(context.model.B.shape[1], loop.command_std),
     )
 
 

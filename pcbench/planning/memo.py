@@ -31,21 +31,21 @@ class Once(Protocol):
 
 def once() -> Once:
     """Return a cache that keeps the most recently used values of each kind."""
-    kept: dict[str, OrderedDict[Hashable, Any]] = {}
+    by_kind: dict[str, OrderedDict[Hashable, Any]] = {}
 
     def ask(kind: str, key: Hashable, make: Callable[[], T]) -> T:
-        mine: OrderedDict[Hashable, T] = kept.setdefault(kind, OrderedDict())
-        if key not in mine:
-            mine[key] = make()
-        mine.move_to_end(key)
-        if len(mine) > (DESIGNS if kind == "designs" else ROOM):
-            mine.popitem(last=False)
-        return mine[key]
+        entries: OrderedDict[Hashable, T] = by_kind.setdefault(kind, OrderedDict())
+        if key not in entries:
+            entries[key] = make()
+        entries.move_to_end(key)
+        if len(entries) > (DESIGNS if kind == "designs" else ROOM):
+            entries.popitem(last=False)
+        return entries[key]
 
     return ask
 
 
-def anew(kind: str, key: Hashable, make: Callable[[], T]) -> T:
+def uncached(kind: str, key: Hashable, make: Callable[[], T]) -> T:
     """Compute the value without a cache."""
     return make()
 

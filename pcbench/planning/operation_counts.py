@@ -107,8 +107,8 @@ def _worn(o: Observer, p: GridPointParams, gains: Gains, start: Memory, q: int) 
     def after(age: Array, period: Array, number: Array, ticks: Sequence[Array]) -> list[Array]:
         memory, now = with_(ticks), present(p, age + number * period, False)
         snapshot = o.snapshot(gains, memory, present(p, number * period, False))
-        told = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
-        new = jax.tree.leaves(o.jump(gains, told, now, _arrival(jnp.ones(q), age, snapshot)))
+        sampled = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
+        new = jax.tree.leaves(o.jump(gains, sampled, now, _arrival(jnp.ones(q), age, snapshot)))
         return [a.astype(b.dtype) for a, b, w in zip(new, leaves, whole, strict=True) if w]
 
     @jax.jit

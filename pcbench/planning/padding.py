@@ -74,7 +74,7 @@ def room_of(p: Plan) -> Capacity:
         shares=0 if common else schedule.share.shape[1],
         ring=power_of_2(p.layout.ring),
         early=power_of_2(len(schedule.early)) if common else 0,
-        notes=schedule.also.shape[1] if common else 0,
+        notes=schedule.extra_snapshots.shape[1] if common else 0,
         back=power_of_2(back),
         ahead=power_of_2(ahead),
         falls=len(p.problem.jumps),
@@ -94,7 +94,7 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
     return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.anew) -> Plan:
+def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.uncached) -> Plan:
     """Return a draft padded to the shape of `room`."""
     drafted, rows = p.problem.schedule, dict(room.rows)
     _, schedule = ask(
@@ -128,7 +128,7 @@ def stack_schedules(each: list[common_times.Schedule]) -> common_times.Schedule:
     room = Capacity(
         slots=power_of_2(max(s.arrive.shape[1] for s in each)),
         early=power_of_2(max(len(s.early) for s in each)),
-        notes=power_of_2(max(s.also.shape[1] for s in each)),
+        notes=power_of_2(max(s.extra_snapshots.shape[1] for s in each)),
     )
     stacked: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_pad_schedule(s, room) for s in each))
     return stacked

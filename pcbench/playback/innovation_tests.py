@@ -166,7 +166,7 @@ def _mean(totals: Floats) -> float:
 
 STEP = 1e-3  # of z; relative error of H: 1e-6
 NORMAL = 1.959963984540054  # 95 %
-TOLD = 1.0  # least information of one z alone; with less, its standard deviation is more than a factor of e
+INFORMATIVE = 1.0  # least information of one z alone; with less, its standard deviation is more than a factor of e
 TWO_SIDED, ONE_SIDED = 3.841458820694124, 2.705543454095404  # chi-square, one degree of freedom: 95 % and 90 %
 FAR = np.log(
     1e6
@@ -183,12 +183,12 @@ def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
         rows.append((likelihood(at - step)[1] - likelihood(at + step)[1]) / (2 * STEP))
     H = np.array(rows).reshape(len(at), len(at))
     H = 0.5 * (H + H.T)  # observed information
-    told, sd = np.diag(H) > TOLD, np.full(len(at), np.nan)
-    some = H[np.ix_(told, told)]
-    if told.any() and np.isfinite(some).all() and np.linalg.eigvalsh(some)[0] > 0:
-        sd[told] = np.sqrt(np.diag(np.linalg.inv(some)))
+    informative, sd = np.diag(H) > INFORMATIVE, np.full(len(at), np.nan)
+    some = H[np.ix_(informative, informative)]
+    if informative.any() and np.isfinite(some).all() and np.linalg.eigvalsh(some)[0] > 0:
+        sd[informative] = np.sqrt(np.diag(np.linalg.inv(some)))
     low, high = at - NORMAL * sd, at + NORMAL * sd
-    for j in np.flatnonzero(~told) if np.isfinite(sd[told]).all() else ():
+    for j in np.flatnonzero(~informative) if np.isfinite(sd[informative]).all() else ():
         low[j], high[j] = profile_interval(likelihood, H, at, int(j))
     return low, high
 
@@ -197,7 +197,7 @@ def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> t
     """Return the ends of the interval of one z by the profile likelihood."""
     from scipy.optimize import brentq
 
-    most, others = likelihood(at)[0], np.flatnonzero((np.diag(H) > TOLD) & (np.arange(len(at)) != j))
+    most, others = likelihood(at)[0], np.flatnonzero((np.diag(H) > INFORMATIVE) & (np.arange(len(at)) != j))
     point = at.copy()
 
     def drop(z: float) -> float:

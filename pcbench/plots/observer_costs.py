@@ -38,7 +38,7 @@ class Thing(NamedTuple):
     def key(self) -> bytes:
         """Return what it was made of."""
         options = {o: given.model_dump() for o, given in self.cell.options.items()}
-        said = [self.cell.digest, options, self.cell.told, provenance.versions(), *self.about]
+        said = [self.cell.digest, options, self.cell.options_digests, provenance.versions(), *self.about]
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
 
     @property

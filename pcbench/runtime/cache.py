@@ -52,8 +52,8 @@ def keep(path: Path, content: str | bytes) -> None:
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with ending.uncut():
-            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
-                beside.write(content.encode() if isinstance(content, str) else content)
-            os.replace(beside.name, path)
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as temporary:
+                temporary.write(content.encode() if isinstance(content, str) else content)
+            os.replace(temporary.name, path)
     except OSError:
         return

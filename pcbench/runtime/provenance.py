@@ -30,8 +30,8 @@ def compiler() -> str:
     """Return how XLA_FLAGS and jax's settings change the compiler's defaults; or 'defaults'."""
     flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
     settings = {name: getattr(jax.config, name, None) for name in COMPILING}
-    told = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
-    return " ".join([*sorted(flags), *told]) or "defaults"
+    changed = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
+    return " ".join([*sorted(flags), *changed]) or "defaults"
 
 
 def describe() -> dict[str, object]:

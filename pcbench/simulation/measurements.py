@@ -128,7 +128,7 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
     many = p.noise_std.shape[0]
     keys = rng.run_keys(root_seed, seeds, "measurement", many)
     odd = rng.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
-    beside = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", many)
+    tail = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", many)
 
     dither = rng.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
 
@@ -145,8 +145,8 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
 
     def noise(channels: list[int], index: PyTree) -> Array:
         v = normals(channels, index)
-        if beside:
-            v = students(v, rng.normals([beside[j] for j in channels], index), p.tail)
+        if tail:
+            v = students(v, rng.normals([tail[j] for j in channels], index), p.tail)
         if not p.outliers:
             return v
         probability, scale = (_of_channels(a, channels, v.ndim) for a in p.outliers)

@@ -54,12 +54,12 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
             "return all of it."
         )
     _same(label, "jump", ask("jump", arriving(observer.jump), memory, value, snapshot), memory)
-    if (told := observer.on_sample) is not None:
+    if (on_sample := observer.on_sample) is not None:
         mask = jax.ShapeDtypeStruct((q,), bool)
         _same(
             label,
             "on_sample",
-            ask("on_sample", lambda p, m, f: told(p.gains[label], m, present(p, k, False), f), memory, mask),
+            ask("on_sample", lambda p, m, f: on_sample(p.gains[label], m, present(p, k, False), f), memory, mask),
             memory,
         )
     if (init_random := observer.init_random) is not None:

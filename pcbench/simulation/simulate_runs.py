@@ -258,7 +258,7 @@ def sense(
         y = y + shift.values[plan.sense[k]]
         found = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), found)
     values = put(values, plan.sense[k], y)
-    for number in (plan.snapshot[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
+    for number in (plan.snapshot[k], *(plan.extra_snapshots[k, i] for i in range(plan.extra_snapshots.shape[1]))):
         notes = put(notes, number, found)
     notified = notify(layout, p, k, run, taken)
     memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
@@ -280,7 +280,7 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     for slot in range(plan.arrive.shape[1]):
         number, mask = plan.arrive[k, slot], plan.mask[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
-        age, since, silent = jnp.full(mask.shape, k - plan.believed[k, slot]), plan.ticks_since_arrival[k, slot], None
+        age, since, silent = jnp.full(mask.shape, k - plan.timestamp[k, slot]), plan.ticks_since_arrival[k, slot], None
         if p.trigger:
             silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
             values, since = jnp.where(mask, values, 0.0), k - run.sensors.last

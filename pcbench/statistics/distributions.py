@@ -51,5 +51,5 @@ def delay_bound(slopes: ArrayLike, noise_std: float) -> float:
 
     Infinite if no sample has a slope.
     """
-    told = float(np.sum(np.square(np.asarray(slopes, float))))
-    return float(noise_std / np.sqrt(told)) if told > 0 else float("inf")
+    information = float(np.sum(np.square(np.asarray(slopes, float))))
+    return float(noise_std / np.sqrt(information)) if information > 0 else float("inf")

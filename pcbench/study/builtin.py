@@ -62,7 +62,7 @@ BELIEFS: dict[str, TomlTable] = {  # the wrong assumption of each scenario; nois
 def _mismatch_scenario(name: str) -> ScenarioTable:
     """Return one scenario of `model-mismatch`: cart/white with a drifting position and one wrong assumption."""
     off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
-    told = {
+    options = {
         "pccebo-loose": {
             "gain": "riccati",
             "q": 0.1 / off,
@@ -72,7 +72,7 @@ def _mismatch_scenario(name: str) -> ScenarioTable:
         "pi-pco": {"Kp": -61.0, "Ki": 12.2},
         "kfbo": {"R": 0.07 * off, "Q": [0.1, 10.0]},  # intensities: 0.35 per sample times 0.2 s, and WANDER
     }
-    usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": told}
+    usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": options}
     return ScenarioTable.model_validate(usual | BELIEFS[name])
 
 

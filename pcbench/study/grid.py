@@ -37,7 +37,7 @@ class Cell(NamedTuple):
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, validated, with defaults
     own: dict[str, UserPlugin]  # user-defined observers by label
-    told: dict[str, str]  # digest of the options by label
+    options_digests: dict[str, str]  # digest of the options by label
     digest: str  # of everything that decides its numbers, without observers; empty: not part of a study
     engine: str = "steps"  # steps or definition, see `Study`
 
@@ -73,7 +73,16 @@ def cell_of(
     """Return a scenario as a grid point that is not part of a study, with its times in ticks."""
     values, parameters, choices = values or {}, parameters or {}, choices or Choices()
     cell = Cell(
-        scenario, number, values, parameters, choices, times_of(scenario), options={}, own={}, told={}, digest=""
+        scenario,
+        number,
+        values,
+        parameters,
+        choices,
+        times_of(scenario),
+        options={},
+        own={},
+        options_digests={},
+        digest="",
     )
     return cell._replace(engine="definition") if scenario.sampling.sensors_decide else cell
 
@@ -122,7 +131,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         here = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
         by_label = digests | {o: options_digest(each, mine.get(o)) for o, each in here.items()}
         identified = cell._replace(digest=identity(cell, study.root_seed), engine=engine_of(s, study.engine or "steps"))
-        out.append(identified._replace(options=options | here, own=mine, told=by_label))
+        out.append(identified._replace(options=options | here, own=mine, options_digests=by_label))
     return out
 
 

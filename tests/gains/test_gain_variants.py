@@ -108,8 +108,8 @@ def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
     with config.float64():
         made = gain_variants.prepare(grid, tmp_path / "out", False)
     assert [c.options["kf-tuned"].R for c in made.grid.cells] == [30.0, 10.0]
-    assert len({c.told["kf-tuned"] for c in made.grid.cells}) == 2
-    assert len({c.told["kf-published"] for c in made.grid.cells}) == 1
+    assert len({c.options_digests["kf-tuned"] for c in made.grid.cells}) == 2
+    assert len({c.options_digests["kf-published"] for c in made.grid.cells}) == 1
     assert len(set(folders)) == 2
     assert made.study.tuning_sentence.endswith("in cart/gaussian, separately at each of 2 grid points.")
     written = tomllib.loads(serialize.to_toml(made.study, made.grid.cells))
@@ -130,7 +130,7 @@ def test_a_cell_that_cannot_be_tuned_keeps_its_start_and_says_so(monkeypatch):
     found_by_noise(monkeypatch, without=[0.1])
     made = prepared(**EVERY_CELL, observers=["kf"], tuning="tuned")
     assert made.grid.cells[0].options["kf"].R == 30.0
-    assert made.grid.cells[1].told != made.grid.cells[0].told
+    assert made.grid.cells[1].options_digests != made.grid.cells[0].options_digests
     assert made.versions[0].note == "at noise_std = 0.1: the start has no finite value on the training runs"
 
 

@@ -67,7 +67,7 @@ def test_no_error_for_any_period_and_delay(te, d, odd):
 @pytest.mark.parametrize("slip", [-1, 1])
 def test_one_tick_of_slip_in_what_an_arrival_says_of_its_age_is_caught(observer, slip):
     layout, p = problem(perfect(CART, 40, 60), {observer: {}})
-    mutated = p._replace(schedule=p.schedule._replace(believed=p.schedule.believed + slip))
+    mutated = p._replace(schedule=p.schedule._replace(timestamp=p.schedule.timestamp + slip))
     got = jax.tree.map(np.asarray, recorder()(layout, mutated, np.asarray(0), np.asarray(0)))
     assert error(got)[observer] > 1e-4
 

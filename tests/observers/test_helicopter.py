@@ -188,7 +188,7 @@ def slipped(p, what):
         return problem._replace(schedule=plan._replace(sense=np.roll(plan.sense, 1), sample=np.roll(plan.sample, 1, 0),
                                                        event=np.ones_like(plan.event),
                                                        next_event=np.arange(1, len(plan.event) + 1)))  # fmt: skip
-    return problem._replace(schedule=plan._replace(believed=plan.believed + 1))
+    return problem._replace(schedule=plan._replace(timestamp=plan.timestamp + 1))
 
 
 @pytest.mark.parametrize(

@@ -222,7 +222,7 @@ def lagging(p, by):
 @pytest.mark.parametrize("slip", [-1, 1])
 def test_one_tick_of_slip_in_the_age_is_caught(slip):
     p = perfect(40, 60)
-    late = p.problem._replace(schedule=p.problem.schedule._replace(believed=p.problem.schedule.believed - slip))
+    late = p.problem._replace(schedule=p.problem.schedule._replace(timestamp=p.problem.schedule.timestamp - slip))
     assert error(recorded(p._replace(problem=late)), "kf") > 1e-4
     got = recorded(lagging(p, slip))
     assert all(error(got, name) > 1e-4 for name in FINDERS)

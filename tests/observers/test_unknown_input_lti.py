@@ -188,7 +188,7 @@ def test_perfect_start_is_zero_but_for_what_a_runge_kutta_step_leaves_out(times)
 def test_one_tick_of_slip_in_the_age_is_caught_by_the_feedthrough(slip):
     p = planned("carry", **PERFECT)[12, 30]
     whole, plan = without_sign(p), p.problem.schedule
-    got = recorded(p, problem=whole._replace(schedule=plan._replace(believed=plan.believed - slip)))
+    got = recorded(p, problem=whole._replace(schedule=plan._replace(timestamp=plan.timestamp - slip)))
     assert min(errors(got).values()) > 1e-4
 
 

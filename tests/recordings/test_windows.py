@@ -56,7 +56,7 @@ def test_windows_are_the_schedule_of_the_same_samples(seed, length, order):
     np.testing.assert_array_equal(sense, want.sense)
     np.testing.assert_array_equal(sampled, want.sample >= 0)
     np.testing.assert_array_equal(arrive, want.arrive)
-    np.testing.assert_array_equal(taken, want.believed)
+    np.testing.assert_array_equal(taken, want.timestamp)
     np.testing.assert_array_equal(mask, want.mask)
     np.testing.assert_array_equal(number, want.number)
     np.testing.assert_array_equal(ticks_since_arrival, want.ticks_since_arrival)

@@ -65,7 +65,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
         here = {s.channel: s.number for s in found if s.taken == k}
         assert plan.sense[k] == (instants.index(k) if here else -1)
         assert {j: plan.sample[k, j] for j in np.flatnonzero(plan.sample[k] >= 0)} == here
-        noted = [int(packet) for packet in (plan.snapshot[k], *plan.also[k]) if packet >= 0]
+        noted = [int(packet) for packet in (plan.snapshot[k], *plan.extra_snapshots[k]) if packet >= 0]
         assert noted == sorted({instants.index(s.taken) for s in found if s.taken - error + s.ahead == k})
         oldest_first = sorted(taken for tick, taken in coming if tick == k)
         for slot in range(slots):
@@ -76,7 +76,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
             taken = oldest_first[slot]
             assert plan.arrive[k, slot] == instants.index(taken)
             (late,) = {s.ahead for s in found if s.taken == taken}
-            assert plan.believed[k, slot] == max(taken - error + late, 0)
+            assert plan.timestamp[k, slot] == max(taken - error + late, 0)
             assert plan.ticks_since_arrival[k, slot] == k - last
             seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.mask[k, slot])]
         last = k if oldest_first else last
@@ -251,7 +251,7 @@ def loses_a_packet(plan, size):
     for k in range(len(plan.sense)):
         for ring, number in (
             (values, plan.sense[k]),
-            *((notes, packet) for packet in (plan.snapshot[k], *plan.also[k])),
+            *((notes, packet) for packet in (plan.snapshot[k], *plan.extra_snapshots[k])),
         ):
             if number >= 0:
                 ring[number % size] = number
@@ -281,9 +281,9 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
         rows = packets(clocks, ticks, seed)
         first = {row[0]: i for i, row in reversed(list(enumerate(rows)))}  # the row of each packet
         many, late = len(rows), ahead(clocks, 0, seed)
-        taken, believed, number = plan.taken[:, lane], plan.believed[:, lane], plan.number[..., lane]
+        taken, timestamp, number = plan.taken[:, lane], plan.timestamp[:, lane], plan.number[..., lane]
         assert taken[:many].tolist() == [row[0] if first[row[0]] == i else NEVER for i, row in enumerate(rows)]
-        assert believed[:many].tolist() == [NEVER if t == NEVER else t + late[t] for t in taken[:many].tolist()]
+        assert timestamp[:many].tolist() == [NEVER if t == NEVER else t + late[t] for t in taken[:many].tolist()]
         assert (taken[many:] > ticks).all()
         want = np.full((len(clocks), many), -1)
         for at, clock, index, _ in rows:

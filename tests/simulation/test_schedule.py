@@ -96,12 +96,12 @@ def test_samples_are_believed_and_noted_so_much_earlier_but_never_before_tick_0(
     for s in samples:
         if s.taken <= ticks:
             packets[s.taken] = len(packets)
-    believed = {
-        (tick, int(plan.arrive[tick, slot])): int(plan.believed[tick, slot])
+    timestamp = {
+        (tick, int(plan.arrive[tick, slot])): int(plan.timestamp[tick, slot])
         for tick, slot in zip(*np.nonzero(plan.arrive >= 0), strict=True)
     }
     inside = [s for s in samples if s.taken <= ticks]
-    assert believed == {(s.arrives, packets[s.taken]): max(s.taken - error, 0) for s in inside if s.arrives <= ticks}
+    assert timestamp == {(s.arrives, packets[s.taken]): max(s.taken - error, 0) for s in inside if s.arrives <= ticks}
     noted = {s.taken - error: packets[s.taken] for s in inside if 0 <= s.taken - error <= ticks}
     assert {k: int(plan.snapshot[k]) for k in range(ticks + 1) if plan.snapshot[k] >= 0} == noted
     sensed = {s.taken: packets[s.taken] for s in inside if s.taken >= 0}

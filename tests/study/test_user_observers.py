@@ -61,7 +61,7 @@ def test_two_labels_may_use_one_observer_each_with_its_options(here):
     assert asked.observers == ["kf", "soft", "hard"]
     assert [cell.options[o].share for o in ("soft", "hard")] == [0.05, 0.5]
     assert cell.entry("soft").observer is cell.entry("hard").observer
-    assert cell.told["soft"] != cell.told["hard"]
+    assert cell.options_digests["soft"] != cell.options_digests["hard"]
 
 
 def test_a_variant_of_a_label_has_the_options_of_both(here):

@@ -23,7 +23,7 @@ from pcbench.study import scenarios_of, title_of_scenario
 LONGEST = 48  # largest number of rows of a closing table; for more, wins are counted
 LONGEST_CONSISTENCY = 24  # largest number of rows; for more, verdicts are counted
 # columns in this order, if they exist
-BESIDE = (
+EXTRA_METRICS = (
     *("rmse", "recovery_time", "steady_tracking_rmse", "settling_time", "lq_cost", "rms_efficiency"),
     *("interval_coverage", "interval_width", "sent_fraction"),
 )
@@ -132,10 +132,10 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     metric, costs = view.metric, view.costs
     filled = set(view.stats.metric[view.stats["mean"].notna()])
     exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - filled else []
-    beside = [m for m in (*exact, *BESIDE, SQUARE) if m in filled and m != metric]
+    extra = [m for m in (*exact, *EXTRA_METRICS, SQUARE) if m in filled and m != metric]
     cost = COST if costs is not None else ()
     values: dict[str, list[str]] = {
-        name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence_rate", *cost)
+        name: [] for name in (*axes, "observer", metric, LESS, *extra, "divergence_rate", *cost)
     }
     bold: set[int] = set()
     for cell in cells:
@@ -150,7 +150,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
             row["observer"] = mark_uncertified(observer, [wide.loc[(observer, metric), "certified"]])
             row[metric] = interval(wide.loc[observer, metric])
             row[LESS] = "" if best else difference(met, observer, found.order[0])
-            row |= {name: _format_metric(wide, observer, name, view.scenario.duration) for name in beside}
+            row |= {name: _format_metric(wide, observer, name, view.scenario.duration) for name in extra}
             row["divergence_rate"] = fraction(wide.loc[observer, "divergence_rate"])
             if costs is not None:
                 counts = costs[(costs.cell == number) & (costs.observer == observer)]
@@ -171,7 +171,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     columns += [Column("diverged", values["divergence_rate"])] if view.stats.diverged.any() else []
     columns += [Column(name, values[name]) for name in cost]
     return columns + [
-        Column(head(name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
+        Column(head(name), values[name], spare=1 + len(extra) - extra.index(name)) for name in extra[::-1]
     ]
 
 

@@ -26,14 +26,14 @@ class Schedule(NamedTuple):
     sample: Ints  # [N+1, q] sample number of each channel, from 0; -1: the channel is not sampled
     snapshot: Ints  # [N+1] the packet for which observers take a snapshot
     arrive: Ints  # [N+1, S] the packets that arrive
-    believed: Ints  # [N+1, S] the timestamp: the assumed sampling tick
+    timestamp: Ints  # [N+1, S] their assumed sampling tick
     mask: Bools  # [N+1, S, q] the channels in the arrival
     number: Ints  # [N+1, S, q] sample number of each channel
     ticks_since_arrival: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
     early: Ints  # [E, q] sample number of each channel, in the packets taken before tick 0
-    also: Ints  # [N+1, M] further packets with the same timestamp, for which observers take the same snapshot
+    extra_snapshots: Ints  # [N+1, M] further packets with the same timestamp, and so the same snapshot
 
 
 class Sample(NamedTuple):
@@ -126,12 +126,12 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
             out.sense[s.taken] = packet[s.taken]
             out.sample[s.taken, s.channel] = s.number
     for tick, each in noted.items():
-        out.snapshot[tick], out.also[tick, : len(each) - 1] = each[0], each[1:]
+        out.snapshot[tick], out.extra_snapshots[tick, : len(each) - 1] = each[0], each[1:]
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[taken]
-            out.believed[tick, slot] = stamps[taken]
+            out.timestamp[tick, slot] = stamps[taken]
             out.ticks_since_arrival[tick, slot] = tick - last
             for s in group:
                 out.mask[tick, slot, s.channel] = True
@@ -148,14 +148,14 @@ def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes:
         sample=np.full((n, q), -1, np.int32),
         snapshot=np.full(n, -1, np.int32),
         arrive=np.full((n, slots), -1, np.int32),
-        believed=np.zeros((n, slots), np.int32),
+        timestamp=np.zeros((n, slots), np.int32),
         mask=np.zeros((n, slots, q), bool),
         number=np.full((n, slots, q), -1, np.int32),
         ticks_since_arrival=np.zeros((n, slots), np.int32),
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
         early=np.full((early, q), -1, np.int32),
-        also=np.full((n, notes), -1, np.int32),
+        extra_snapshots=np.full((n, notes), -1, np.int32),
     )
 
 
@@ -181,7 +181,7 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
         since[late, 0] = late
     out = prompt._replace(
         arrive=prompt.arrive[rows],
-        believed=prompt.believed[rows],
+        timestamp=prompt.timestamp[rows],
         mask=prompt.mask[rows],
         number=prompt.number[rows],
         ticks_since_arrival=since,
@@ -201,10 +201,16 @@ def _prompt(period: int, stride: int, own: tuple[int, ...], ticks: int, channels
     sent, out = at_no_tick(ticks, channels), at_no_tick(2 * n - 1, channels)
     sent.sense[taken] = sent.snapshot[taken] = packet
     sent.sample[taken[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.believed[at, 0], out.ticks_since_arrival[at, 0] = packet, taken, np.diff(taken, prepend=0)
+    out.arrive[at, 0], out.timestamp[at, 0], out.ticks_since_arrival[at, 0] = packet, taken, np.diff(taken, prepend=0)
     out.mask[at[:, None], 0, q] = True
     out.number[at[:, None], 0, q] = number[:, None]
-    both = out._replace(sense=sent.sense, sample=sent.sample, snapshot=sent.snapshot, early=sent.early, also=sent.also)
+    both = out._replace(
+        sense=sent.sense,
+        sample=sent.sample,
+        snapshot=sent.snapshot,
+        early=sent.early,
+        extra_snapshots=sent.extra_snapshots,
+    )
     for table in both:
         table.flags.writeable = False  # read-only: many schedules have views of it
     return both
@@ -219,14 +225,14 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
         sample=each,
         snapshot=k,
         arrive=row,
-        believed=row,
+        timestamp=row,
         mask=np.ones((ticks + 1, 1, channels), bool),
         number=each[:, None],
         ticks_since_arrival=np.minimum(row, 1),
         event=np.ones(ticks + 1, bool),
         next_event=k + np.int32(1),
         early=each[:0],
-        also=np.zeros((ticks + 1, 0), np.int32),
+        extra_snapshots=np.zeros((ticks + 1, 0), np.int32),
     )
 
 
@@ -262,7 +268,7 @@ def oldest(found: list[Sample], overtaking: int) -> int:
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must hold so that none is overwritten before it arrives."""
-    noted = np.concatenate([plan.snapshot[:, None], plan.also], 1)
+    noted = np.concatenate([plan.snapshot[:, None], plan.extra_snapshots], 1)
     latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
     return max([int(waiting.max()), *(newer - number + 1 for newer, number in _written_over(plan, noted))])
@@ -292,9 +298,13 @@ def pad_early(plan: Schedule, packets: int) -> Schedule:
 
 def pad_notes(plan: Schedule, many: int) -> Schedule:
     """Pad the snapshots of each tick, so that schedules of one study have one shape."""
-    if many == plan.also.shape[1]:
+    if many == plan.extra_snapshots.shape[1]:
         return plan
-    return plan._replace(also=np.pad(plan.also, [(0, 0), (0, many - plan.also.shape[1])], constant_values=-1))
+    return plan._replace(
+        extra_snapshots=np.pad(
+            plan.extra_snapshots, [(0, 0), (0, many - plan.extra_snapshots.shape[1])], constant_values=-1
+        )
+    )
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:
@@ -308,7 +318,7 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
 
     return plan._replace(
         arrive=wider(plan.arrive, -1),
-        believed=wider(plan.believed, 0),
+        timestamp=wider(plan.timestamp, 0),
         mask=wider(plan.mask, 0),
         number=wider(plan.number, -1),
         ticks_since_arrival=wider(plan.ticks_since_arrival, 0),

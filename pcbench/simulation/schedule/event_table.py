@@ -20,7 +20,7 @@ class EventTable(NamedTuple):
 
     taken: Array  # [E, L] tick of each packet
     number: Array  # [C, E, L] sample number of each clock in the packet; -1: none
-    believed: Array  # [E, L] the timestamp of a packet: its assumed sampling tick, possibly before 0
+    timestamp: Array  # [E, L] assumed sampling tick of a packet, possibly before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
     which: Array  # [E, L] the row of the packet that arrives
     brings: Array  # [C, E, L] whether the arrival contains each clock's sample
@@ -36,9 +36,9 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
     order = jnp.argsort(taken, axis=0, stable=True)
     taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    believed, packet = random_times.timestamp(t, root_seed, seeds, taken), _first(_repeats(taken))
+    timestamp, packet = random_times.timestamp(t, root_seed, seeds, taken), _first(_repeats(taken))
     numbers = _by_clock(len(each), -1, clock, packet, number)
-    taken, believed = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, believed))
+    taken, timestamp = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, timestamp))
 
     order = jnp.argsort(arrives, axis=0, stable=True)
     arrives, packet, clock = (jnp.take_along_axis(a, order, 0) for a in (arrives, packet, clock))
@@ -51,7 +51,7 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     return EventTable(
         taken=taken,
         number=numbers,
-        believed=believed,
+        timestamp=timestamp,
         arrives=jnp.where(mine, arrives, NEVER),
         which=packet,
         brings=_by_clock(len(each), False, clock, arrival, True),

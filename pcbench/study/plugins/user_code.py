@@ -97,16 +97,16 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
         each = waiting.pop(0)
         if each.name not in files:
             files[each.name] = each.read_bytes()
-            beside = (path.parent / f"{name}.py" for name in _imports(files[each.name]))
-            waiting += [other for other in beside if other.is_file()]
+            siblings = (path.parent / f"{name}.py" for name in _imports(files[each.name]))
+            waiting += [other for other in siblings if other.is_file()]
     found = tuple(files.items())
     return Code(path.name, name, found, digest(found))
 
 
 def digest(files: tuple[tuple[str, bytes], ...]) -> str:
     """Return the digest of the contents of a module and the files next to it, in any order."""
-    module, *beside = files
-    parts = [module, *sorted(beside)]
+    module, *siblings = files
+    parts = [module, *sorted(siblings)]
     return hashlib.sha256(b"".join(name.encode() + b"\0" + text + b"\0" for name, text in parts)).hexdigest()[:DIGITS]
 
 

@@ -60,33 +60,33 @@ def anything(options: BaseModel, sizes: Sizes) -> None:
 
 
 def linearize_law(
-    law: Controller, prepare: Callable[..., Params], options: BaseModel, told: ControllerContext
+    law: Controller, prepare: Callable[..., Params], options: BaseModel, context: ControllerContext
 ) -> Law | None:
     """Return a law linearised about its set point of tick 0 by jax.
 
     None if it uses inputs on their way, or violates the protocol; planning reports the latter (`law_conformance`).
     """
-    asked: list[Array] = []  # requests for inputs on their way
+    requests: list[Array] = []  # requests for inputs on their way
     try:
         with config.float64():
-            params = jax.tree.map(jnp.asarray, prepare(options, told))
-            law_at_rest = _slopes(law, params, told, asked)
+            params = jax.tree.map(jnp.asarray, prepare(options, context))
+            law_at_rest = _slopes(law, params, context, requests)
     except Exception as error:  # any exception of user functions
         _LOG.info("a controller is not linearised: %s", describe_exception(error))
         return None
-    return law_at_rest if not asked and law_at_rest.D.shape == told.model.B.T.shape else None
+    return law_at_rest if not requests and law_at_rest.D.shape == context.model.B.T.shape else None
 
 
-def _slopes(law: Controller, params: Params, told: ControllerContext, asked: list[Array]) -> Law:
+def _slopes(law: Controller, params: Params, context: ControllerContext, requests: list[Array]) -> Law:
     """Return the slopes of a law by its memory and by the state; requests for future inputs are recorded in `asked`."""
-    n, m = told.model.B.shape
+    n, m = context.model.B.shape
     aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
     rest = jnp.zeros(n).at[: len(aim)].set(aim)
     kept, back = ravel_pytree(law.start(params, rest) if law.start else ())
-    now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(told.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
+    now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(context.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
 
     def coming(ahead: Array) -> Array:
-        asked.append(ahead)
+        requests.append(ahead)
         return jnp.zeros(m)
 
     def tick(s: Array, x: Array) -> tuple[Array, Array]:

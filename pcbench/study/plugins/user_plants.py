@@ -68,7 +68,7 @@ def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
     model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
     rest = np.array(known["residual"]) if "residual" in known else None
     numbers = namedtuple("Numbers", known["numbers"])(**{k: tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
-    told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
+    functions = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
     there = PlantSpec(
         plant=Plant(
             step=nothing,
@@ -85,9 +85,9 @@ def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
         unknowns=tuple(pair(name, unit, reference) for name, unit in known["unknowns"]),
         errors=tuple(pair(name, unit, reference) for name, unit in known.get("errors", ())),
         outputs=tuple(pair(name, unit, reference) for name, unit in known.get("outputs", ())),
-        model=told["model"],
-        successor=told["successor"],
-        sensor=told["sensor"],
+        model=functions["model"],
+        successor=functions["successor"],
+        sensor=functions["sensor"],
         positive=tuple(known["positive"]),
         drifts=known["drifts"],
         residual=None if rest is None else lambda numbers: rest,
