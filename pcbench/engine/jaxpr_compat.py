@@ -84,8 +84,8 @@ def scan(params: EqnParams) -> Scan:
         consts, carry = (len(list(part)) for part in params["ft_in"].unpack()[:2])
     else:
         raise UserError(
-            f"jax: got a scan with the parameters {', '.join(sorted(params))}, which pcbench does not know, expected a release "
-            "such as 0.12, which it was read against; install that."
+            f"jax: got a scan with the parameters {', '.join(sorted(params))}, which pcbench does not support, expected a "
+            "release such as 0.12; install that."
         )
     how = {name: params[name] for name in ("length", "reverse", "unroll")}
     return Scan(params["jaxpr"], consts, carry, params["length"], how)

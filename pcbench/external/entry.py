@@ -93,7 +93,7 @@ def main(folder: str, reference: str, out: str) -> None:
 
 def maker(reference: str) -> Callable[..., Guest]:
     """Return the object MODULE:NAME; raise UserError if it cannot be called."""
-    where = "guest"
+    where = "external estimator"
     code = user_code.code_of(reference, where)
     module, name = user_code.split(reference, where)
     found = getattr(user_code.module_of(code, where, Path(module).resolve().parent if code.files else None), name, None)

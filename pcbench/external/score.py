@@ -57,15 +57,15 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         )
     with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
         out = f"{place}/estimates.parquet"
-        progress.note("a guest estimates, one run at a time")
+        progress.note("running the external estimator, one run at a time")
         words = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
         done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
         if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             raise UserError(
                 last
                 if done.returncode == 2
-                else f"guest {reference}: ended with {last}, expected estimates; correct it."
+                else f"external estimator {reference}: ended with {last}, expected estimates; correct it."
             )
         return score(folder, out, name, progress, say)
 

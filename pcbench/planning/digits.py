@@ -61,7 +61,7 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
         reaches = f"grows beyond {np.finfo(np.float64).max:.1e}, the largest float64"
     steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
     raise DigitsError(
-        f"{s.name}, cell {p.cell.number}: {name} {reaches}, so that fewer than two digits of the errors are left, whatever the "
+        f"{s.name}, cell {p.cell.number}: {name} {reaches}, so that fewer than two digits of the errors are left, for any "
         f"observer; expected a smaller state: take a shorter horizon, {steady}, or an origin near the state."
     )
 

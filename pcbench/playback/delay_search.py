@@ -233,8 +233,8 @@ def _results(
     apart = [each.channel for each, factor in zip(out, wider, strict=True) if factor > APART]
     if apart:
         said.append(
-            f"{' and '.join(apart)}: the recording tells the differences between these delays, hardly each of them; record an "
-            "input that moves the plant."
+            f"{' and '.join(apart)}: the recording determines the differences of these delays, but hardly each delay; record "
+            "an input that moves the plant."
         )
     return out, said
 
@@ -244,7 +244,7 @@ def _remarks(found: ChannelDelay, dt: float) -> list[str]:
     name, out, (first, last) = found.channel, [], found.searched
     if found.low <= first and found.high >= last:
         out.append(
-            f"{name}: the recording does not tell the delay: the interval is the whole range that was searched; record more, "
+            f"{name}: the recording does not determine the delay: the interval is the whole search range; record more, "
             "or with inputs that move the plant."
         )
     elif found.at_end == "high":

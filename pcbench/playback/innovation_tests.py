@@ -128,7 +128,7 @@ def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
         of = [f"{row['not_judged'] if row['samples'] else 'all'} of {row['channel']}" for row in missing]
         if left:
             out.append(
-                f"{observer} does not say what it expects of {left:,} of {left + judged:,} samples, which are not judged: "
+                f"{observer} reports no innovation for {left:,} of {left + judged:,} samples, which are not tested: "
                 f"{', '.join(of)}."
             )
     return out

@@ -84,8 +84,8 @@ def open_playback(
     opened, s = readers.open_log(log, delay), cell.scenario
     if isfinite(speed := s.sampling.processor_speed):
         raise UserError(
-            f"{opened.name}: got processor_speed = {speed:g} in {s.name}, expected inf: a recording says itself when its "
-            "samples arrive; leave it out."
+            f"{opened.name}: got processor_speed = {speed:g} in {s.name}, expected inf: a recording contains its "
+            "arrival times; leave it out."
         )
     offsets = np.zeros(len(opened.channels)) if clock_offsets is None else clock_offsets
     opened = shift_stamps(opened, offsets - s.belief.assumed_delay_error)

@@ -153,8 +153,8 @@ def tune_log(
             _require_slope(look, at_start, before, where)
         if left := int(brought.sum() - before.numbers[:, 1].sum()):
             a.remarks.append(
-                f"{label} does not say what it expects of {left:,} of {int(brought.sum()):,} measured numbers, which are not "
-                "in its likelihood."
+                f"{label} reports no innovation for {left:,} of {int(brought.sum()):,} measured numbers, so they are not in "
+                "its likelihood."
             )
         after = look(fitted := fit(trials, at_start, cut))
         refit = History(target, f"{about}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
@@ -332,7 +332,7 @@ def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | s
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
     elif unknown := [i.name for i in intensities if np.isnan(i.low)]:
         out.append(
-            f"{', '.join(unknown)}: the log does not tell, so no interval is given; --only tunes the others alone."
+            f"{', '.join(unknown)}: the recording does not determine it, so no interval is given; tune the others with --only."
         )
     if limits := [f"{i.name} (below {i.high:.2g})" for i in intensities if i.low == 0]:
         out.append(

@@ -120,7 +120,7 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
     if path.is_dir() or tables.has_channels(path):
         return tables.open_tables(path, delay)
     raise UserError(
-        f"{path}: got a file that may hold anything, expected a TOML that says which topics and fields are channels; write "
+        f"{path}: got a file without defined channels, expected a TOML that maps its topics and fields to channels; write "
         f"one with pcbench info {path} --toml."
     )
 

@@ -62,7 +62,7 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
     if measured is None:
         raise UserError(
             f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
-            "needs a TOML that says which topics are channels (pcbench guide recordings)."
+            "needs a TOML that maps its topics to channels (pcbench guide recordings)."
         )
     named = _find_columns(measured, COLUMNS)
     if "arrived" not in named and delay is None:
@@ -154,9 +154,7 @@ def _table(path: Path | Frame | None, what: str) -> Table | None:
     t = named.pop("t")
     source = Source(cast(Path, path), "", [*named.values(), t], {t}, None, path.name, topics=set(), loaded={})
     if not named:
-        raise UserError(
-            f"{path.name}: got the column t alone, expected one more at least; write what stood there at t."
-        )
+        raise UserError(f"{path.name}: got the column t alone, expected one more at least; write the values at t.")
     quantities = {name: quantity(head, None, 1.0, 0.0, path.name) for name, head in named.items()}
     table = table_of(lambda: columns(source), lambda part, _: part[t], quantities, path.name)
     return merge([table], table.names, hold=what == "inputs")

@@ -41,7 +41,7 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
             raise UserError(
                 f"controller {label}: {name} cannot be traced with an estimate of {length} "
                 f"({describe_exception(error)}); expected pure "
-                "jax.numpy code for one run, which takes the states from the front."
+                "jax.numpy code for one run that accepts estimates with further signals after the states."
             ) from error
 
     def command(params: Params, xhat: PyTree, *kept: PyTree) -> PyTree:
@@ -64,8 +64,8 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
         if isinstance(error, UserError):
             raise
         raise UserError(
-            f"controller {label}: command returned no pair, expected (command, what is kept), as the law has `start`; "
-            "return both."
+            f"controller {label}: command returned no pair, expected (command, memory), as the law has `start`; return "
+            "both."
         ) from None
     for name, found in (("before", before), ("command", decided)):
         if getattr(found, "shape", None) != (sizes.m,):

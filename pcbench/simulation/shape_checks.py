@@ -70,15 +70,15 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):
             raise UserError(
-                f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
-                "of all that it estimates; return all of it."
+                f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: the "
+                "covariance of the errors of all estimated signals; return all of it."
             )
     if (bounds := observer.bounds) is not None:
         ends = ask("bounds", lambda p, m: jnp.asarray(bounds(p.gains[label], m)), memory)
         if ends.shape != (2, *xhat.shape):
             raise UserError(
-                f"observer {label}: bounds returned shape {ends.shape}, expected {(2, *xhat.shape)}: the low and the high end "
-                "of all that it estimates; return both."
+                f"observer {label}: bounds returned shape {ends.shape}, expected {(2, *xhat.shape)}: the lower and upper "
+                "bounds of all estimated signals; return both."
             )
     if (delay := observer.delay) is not None:
         two = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
@@ -94,8 +94,8 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
             *([*[()] * 4, *[value.shape] * many] for many in (1, 2)),
         ):
             raise UserError(
-                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "
-                "numbers nu has, or what pcbench.InnovationStats has; return that of them."
+                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and its "
+                "degrees of freedom, or the fields of pcbench.InnovationStats; return these."
             )
     if continuous and observer.field is not None:
         field = observer.field

@@ -26,7 +26,7 @@ LTI = {
     "process_std": [PUSH], "x0": [0.0], "prior_std": [1.0], "divergence_threshold": 1e12, "input": "zero",
 }  # fmt: skip
 RANDOM = {"scenario": {"random_initial_state": True, "consistency": True}}
-BLAMELESS = "fewer than two digits of the errors are left, whatever the observer"
+BLAMELESS = "fewer than two digits of the errors are left, for any observer"
 STEADY = {"A": [[0.0]], "process_std": None, "duration": 3.0}
 
 

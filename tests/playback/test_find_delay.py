@@ -100,7 +100,7 @@ def test_delays_of_which_only_the_difference_is_known_are_reported_so():
     assert found[0].estimate - found[1].estimate == pytest.approx(0.07, abs=1e-6)
     assert [(one.low, one.high) for one in found] == [(0.0, 0.6)] * 2
     assert said[-1].startswith(
-        "y1 and y2: the recording tells the differences between these delays, hardly each of them"
+        "y1 and y2: the recording determines the differences of these delays, but hardly each delay"
     )
 
 
@@ -114,7 +114,7 @@ def test_delays_of_which_only_the_difference_is_known_are_reported_so():
             "y1: the most likely delay is the longest that was searched, 0.6 s; give a larger --max-delay.",
         ),
         (-9.0, 0.01, "low", "y1: the most likely delay is the shortest that is possible, 0 s"),
-        (13.0, 1e-6, "", "y1: the recording does not tell the delay"),
+        (13.0, 1e-6, "", "y1: the recording does not determine the delay"),
     ],
 )
 def test_peak_at_an_end_or_no_peak_is_reported(peak, curvature, end, sentence):
@@ -301,7 +301,7 @@ def test_without_inputs_a_delay_is_not_known(tmp_path):
     study = plant(B=[[0.0], [0.0]], prior_std=[3.0, 3.0])
     ((one,), said) = found(tmp_path / "log", study)
     assert one.high - one.low > 0.3
-    assert "the recording does not tell the delay" in said[0]
+    assert "the recording does not determine the delay" in said[0]
 
 
 @pytest.mark.ci
@@ -378,4 +378,4 @@ def test_channels_without_inputs_have_the_least_delays_of_the_right_difference(t
     (one, two), said = found(tmp_path / "log", {"name": "walk", "lti": lti}, longest=0.2)
     assert [one.estimate, two.estimate] == pytest.approx([0.0, 0.06], abs=0.01)
     assert [two.low, two.high] == pytest.approx([0.0, 0.2])
-    assert said[-1].startswith("y1 and y2: the recording tells the differences between these delays")
+    assert said[-1].startswith("y1 and y2: the recording determines the differences between these delays")

@@ -89,9 +89,9 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
     by = found.channels.set_index(["observer", "channel"])
     assert by.loc["kf-drop-delayed", "y2"][["samples", "not_judged"]].tolist() == [0, late]
     assert by.loc["ekf-iterated", "y2"].not_judged > 0
-    said = [s for s in found.summary["said"] if "not judged" in s]
+    said = [s for s in found.summary["said"] if "not tested" in s]
     assert said[0] == (
-        f"kf-drop-delayed does not say what it expects of {late} of {len(samples)} samples, which are not judged: all of y2."
+        f"kf-drop-delayed reports no innovation for {late} of {len(samples)} samples, which are not tested: all of y2."
     )
     assert [s.split()[0] for s in said] == ["kf-drop-delayed", "ekf-iterated"]
 
