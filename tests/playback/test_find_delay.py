@@ -378,4 +378,4 @@ def test_channels_without_inputs_have_the_least_delays_of_the_right_difference(t
     (one, two), said = found(tmp_path / "log", {"name": "walk", "lti": lti}, longest=0.2)
     assert [one.estimate, two.estimate] == pytest.approx([0.0, 0.06], abs=0.01)
     assert [two.low, two.high] == pytest.approx([0.0, 0.2])
-    assert said[-1].startswith("y1 and y2: the recording determines the differences between these delays")
+    assert said[-1].startswith("y1 and y2: the recording determines the differences of these delays")
