@@ -118,7 +118,7 @@ def perfect_start(t: Trial) -> str:
     for case in t.cases:
         p = case.problem
         got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
-        n = len(p.x0)  # what is unknown beside the states may take its time
+        n = len(p.x0)  # estimates of unknown inputs and parameters may converge later
         e = np.abs(got.x[:, :n] - got.estimates[t.label][:, :n]).max(1) / np.abs(got.x[:, :n]).max()
         for k in np.flatnonzero(~(e <= (LINEAR if t.near else ROUNDING))):
             raise UserError(

@@ -211,6 +211,6 @@ def _exact_rows(file: ExactFile, whole: StudyClaim) -> pa.Table:
     rows = parquet_io.with_column(table, "cell", [number for _, number in keys])
     rows = rows.take(np.argsort([turn[key] for key in keys], kind="stable"))
     mark = parquet_io.metadata(table).get(moments_tables.OF)
-    if mark == moments_tables.of(file.owned):  # else the next run makes it anew
+    if mark == moments_tables.of(file.owned):  # else the next run computes it again
         mark = moments_tables.of(whole)
     return parquet_io.seal_table(parquet_io.with_metadata(rows, {moments_tables.OF: mark} if mark else {}))

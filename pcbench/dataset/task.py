@@ -32,7 +32,7 @@ ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as 
 class Work(NamedTuple):
     """What all tasks of a study share."""
 
-    out: str  # where the dataset stands
+    out: str  # folder or URI of the dataset
     study: str
     root_seed: int
     memory: float = float("inf")  # bytes that one task may take

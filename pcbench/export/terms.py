@@ -24,7 +24,7 @@ class Term(NamedTuple):
     """One number that is not known before the program runs."""
 
     text: str  # how it is read: a name, or an entry of an array
-    store: str = ""  # the array that it stands in,
+    store: str = ""  # the array that contains it,
     base: str = ""  # behind an index that is computed,
     place: int = 0  # so many entries
 

@@ -141,7 +141,7 @@ DECADE = 10.0  # default range of a noise: divided and multiplied by this
 class Axis(NamedTuple):
     """An axis of a scenario, of which one number varies."""
 
-    name: str  # as a study knows it
+    name: str  # name in a study
     at: int | None  # index of the channel or state that varies; None: all, or a single number
     others: tuple[float | str, ...]  # values of all channels; for the one that varies, that of the scenario
     own: tuple[float, ...]  # values of the study for the number that varies; if it has none, that of the scenario

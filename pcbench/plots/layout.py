@@ -184,7 +184,7 @@ def _lay_out(
 
 
 def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
-    """Return how many columns of keys, whose labels are so wide, stand beside one another."""
+    """Return how many columns of keys with labels of these widths fit in a row."""
     for columns in range(len(widths), 1, -1):
         parts = np.array_split(widths, columns)
         if sum(part.max() + 3.8 * paper.em for part in parts) <= width:

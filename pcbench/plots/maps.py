@@ -303,7 +303,7 @@ def grid_of(cells: Cells, x: Side, y: Side) -> NDArray[np.float64]:
 
 
 def _draw_marks(ax: Axes, x: Side, y: Side, marks: Marks, paper: Paper) -> None:
-    """Draw a cross at each mark and its label beside it, on the side that has room."""
+    """Draw a cross at each mark and its label on the side that has room."""
     for label, place in marks.items():
         at, high = (float(np.interp(value, side.values, np.arange(len(side.values))))
                     for value, side in zip(place, (x, y), strict=True))  # fmt: skip

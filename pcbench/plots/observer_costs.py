@@ -48,7 +48,7 @@ class Thing(NamedTuple):
 
 
 def load_table(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
-    """Return a thing as it stands in `out`; None where it does not, or is of something else."""
+    """Return the entry of `out` with this key; None if there is none or it has another type."""
     content = None if out is None else storage.get(storage.target(str(out)), thing.path)
     there = None if content is None else parquet_io.unseal_table(content)
     return there.to_pandas() if there is not None and there.schema.metadata.get(KEY) == thing.key else None

@@ -36,7 +36,7 @@ POINTS = 120  # ticks that are kept, or up to twice as many
 SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
 MEDIAN = "abs_p50"
 UNDER = "plant under "  # begins the series of the plant of each observer of a closed loop
-RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
+RUNS = 32  # drawn if runs differ: nine in ten of their errors are in the band
 
 Floats = NDArray[np.float64]
 

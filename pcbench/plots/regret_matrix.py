@@ -28,7 +28,7 @@ from pcbench.study import title_of_scenario
 
 COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
-ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, beside both
+ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, of the margin
 LINE, SEPARATOR = 1.45, " | "  # between lines of labels [heights of letters]; between words of one
 DARKEST = 10.0  # at least the ratio with the darkest colour
 HATCH = "#C4C4C499"  # of cells that are not significant

@@ -24,7 +24,7 @@ from pcbench.recordings.survey import Survey
 from pcbench.study import scenarios_of, title_of_scenario
 
 ROOM = 0.35  # of the plant's range, above and below it: an estimate that goes farther leaves the picture
-BANDS = 5  # observers, up to which bands are told apart
+BANDS = 5  # largest number of observers with bands
 STEADY = 0.5  # of the run: how large errors are in its second half says whether they need a logarithmic axis
 DEPTH = 1e-6  # of the largest error: what is smaller lies at the lower edge
 RUNAWAY = 30.0  # times the plant's range: errors beyond leave the picture
@@ -159,7 +159,7 @@ def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log
     floor = ax.get_ylim()[0] if log else -np.inf
     for observer, line in look.items():
         mine = dict(iter(part[part.series == observer].groupby("kind")))
-        for k in ((1,) if log else (-3, 3)) if "sigma" in mine else ():  # of the standard deviations it believes
+        for k in ((1,) if log else (-3, 3)) if "sigma" in mine else ():  # of the assumed standard deviations
             ax.plot(mine["sigma"].t, np.maximum(k * mine["sigma"].value, floor), color=line["color"], linewidth=0.6,
                     alpha=0.8, zorder=1.4, label=SIGMA)  # fmt: skip
         if "low" in mine and len(look) <= BANDS and not log:

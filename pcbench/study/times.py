@@ -4,7 +4,7 @@ Durations, periods, delays and jitters become whole ticks, once per grid point. 
 refused at once:
 
 - a run has at most TICKS ticks and SAMPLES samples per channel
-- at most IN_FLIGHT samples of a channel are on the network at one time, and at most OVERTAKING newer ones arrive before an
+- at most IN_FLIGHT samples of a channel are on the network at one time, and at most `OVERTAKING` newer ones arrive before an
   older one
 - a study has at most CELLS grid points per scenario, of CELL_TICKS ticks in total
 - a study has at most LABELS labels of observers and SCENARIOS scenarios

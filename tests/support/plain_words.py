@@ -8,9 +8,11 @@ is long; only prose has sentences: pages, notebooks and docstrings.
 import ast
 import importlib
 import inspect
+import io
 import json
 import re
 import sys
+import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -51,6 +53,18 @@ def texts() -> Iterator[Text]:
     for file in sorted((ROOT / "pcbench").rglob("*.py")):
         for line, phrase in phrases(ast.parse(file.read_text(encoding="utf-8"))):
             yield Text(f"{file.relative_to(ROOT)}:{line}", phrase, False)
+
+
+def remarks() -> Iterator[Text]:
+    """Yield all docstrings and comments of the package."""
+    for file in sorted((ROOT / "pcbench").rglob("*.py")):
+        place, code = file.relative_to(ROOT), file.read_text(encoding="utf-8")
+        for token in tokenize.generate_tokens(io.StringIO(code).readline):
+            if token.type == tokenize.COMMENT:
+                yield Text(f"{place}:{token.start[0]}", without_code(token.string), False)
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and (words := ast.get_docstring(node)):
+                yield Text(f"{place}:{getattr(node, 'lineno', 1)}", without_code(words), False)
 
 
 def phrases(tree: ast.Module) -> Iterator[tuple[int, str]]:
