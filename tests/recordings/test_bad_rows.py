@@ -171,5 +171,5 @@ def test_what_is_no_log_is_one_sentence(tmp_path):
     (tmp_path / "flight.bag").write_bytes(b"")
     (tmp_path / "run.csv").write_text("t,y\n0,1\n")
     for name in ("flight.bag", "run.csv"):
-        with pytest.raises(UserError, match=rf"expected a TOML that says which .* pcbench info .*{name} --toml"):
+        with pytest.raises(UserError, match=rf"expected a TOML that maps .* pcbench info .*{name} --toml"):
             readers.open_log(tmp_path / name)
