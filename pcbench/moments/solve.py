@@ -134,7 +134,7 @@ def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable])
         off = bend(p)
         refused = refusal_beforehand(p)
         ones, drawn, trial = ([], False, False) if refused or off > ROUNDING else _realisations(p, asked, unlike)
-        window.append(Work(p, ones, drawn, trial, off, [], refused))
+        window.append(Work(p, ones, drawn, trial, bend=off, calls=[], refused=refused))
         many += len(ones)
         if many >= WINDOW:
             yield window

@@ -87,7 +87,7 @@ BROKEN = [
     ("purity", changed(lambda u, *given: u * (1 + 1e-9 * next(COUNT))), {}, "two programs when command was traced twice"),
     ("float64", changed(lambda u, *given: u.astype(jnp.float32).astype(float)), {}, "got float32 in command"),
     ("many runs", changed(called_back), {}, "command in vmap"),
-    ("held", changed(lambda u, now, estimate, params: u + estimate[0]), {"period": 0.05}, "another command at tick 1, between"),
+    ("held", changed(lambda u, now, estimate, params: u + estimate[0]), {"period": 0.05}, "a different command at tick 1"),
     ("settles", {}, {"gain": -2.0}, "pull does not stabilise the plant of cart/white: .* eigenvalue 1"),
     ("run", changed(lambda u, now, *given: u / (now.tick - 7)), {}, "not finite at tick 7 .0.007 s. of cart/white"),
 ]  # fmt: skip

@@ -138,7 +138,7 @@ BROKEN = {
     "channels that are not fresh": (
         "no peeking",
         {"jump": lambda gains, memory, now, arrival: memory + gains.L @ (arrival.value - arrival.snapshot)},
-        "value of channel 1 where fresh is False",
+        "value of channel 1 where arrival.mask is False",
     ),
     "before the jump": ("after the jump", BEFORE, "an arrival of tick .* at tick"),
 }  # fmt: skip
@@ -187,7 +187,7 @@ def test_a_memory_changed_in_place_is_no_pure_function():
     }
     found = failing(verdicts(broken(changes)))
     assert list(found) == ["purity"]
-    assert "arguments that jump has changed" in found["purity"]
+    assert "changed arguments from jump" in found["purity"]
 
 
 @pytest.mark.ci

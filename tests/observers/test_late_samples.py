@@ -262,7 +262,7 @@ def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule
 def test_rewinding_loses_what_is_older_than_it_keeps_and_says_so():
     assert apart(found("kf-reprocess", "wild", keep=1)[0], optimum("wild"))
     short = OBSERVERS["kf-reprocess"].design(KNOWN, OBSERVERS["kf-reprocess"].options(keep=1)).certificate
-    assert "9 may arrive before one" in short.inequality
+    assert "9 newer ones may arrive before a sample" in short.inequality
     enough = OBSERVERS["kf-reprocess"].design(KNOWN, OBSERVERS["kf-reprocess"].options(keep=9)).certificate
     assert enough.margin < float("inf")
 
