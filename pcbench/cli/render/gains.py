@@ -23,9 +23,8 @@ VARIANCES = ("R", "Q")  # options whose root is a standard deviation
 def gains(design: Design, screen: Screen) -> None:
     """Print a certificate and the main numbers of a design."""
     c = design.certificate
-    screen.print(
-        f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", highlight=True
-    )
+    solution = f"\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}" if np.isfinite(c.margin) else ""
+    screen.print(f"certificate: {c.inequality}{solution}", highlight=True)
     if is_certified(c._asdict()) is False:
         screen.print(f"{UNPROVEN.removeprefix('* ')} these gains.", style="bold", highlight=True)
     if c.fallback:
