@@ -82,6 +82,8 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
         return None
     each = np.array([_peak(whole - one, shifts)[0] for one in sums])
     half = T9 * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.square(each - each.mean()).sum()))
+    if 2 * half > reach:  # an interval as long as half the range of the search determines no lag
+        return None
     lag, half = float(lag * step), float(half * step)
     return Lag(first, second, lag, lag - half, lag + half, c)
 

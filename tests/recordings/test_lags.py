@@ -48,6 +48,12 @@ def test_channels_of_different_motions_have_no_lag(tmp_path):
     assert pcbench.info(recording(tmp_path / "log", 4, 0.1, other=5)).attrs["lags"] == []
 
 
+def test_lag_with_an_interval_of_half_the_range_is_left_out(monkeypatch, tmp_path):
+    folder = recording(tmp_path / "log", 4, 0.083)
+    monkeypatch.setattr(lags, "T9", 1e4)
+    assert pcbench.info(folder).attrs["lags"] == []
+
+
 @pytest.mark.ci
 def test_intervals_hold_the_lag_in_at_least_34_of_40_recordings(tmp_path):
     """95 % intervals hold it in fewer with a probability of 0.003."""
