@@ -25,6 +25,7 @@ TOPICS |= {readers.FORMATS[".ulg"]: ulog.topics, readers.FORMATS[".mat"]: matlab
 TIME = re.compile(r"(t|time|stamp|timestamp|sampled|x_value|seconds_elapsed)\b", re.IGNORECASE)
 INPUT = re.compile(r"(u\d*|.*(input|cmd|command|control|motor|throttle|actuator|voltage|setpoint).*)", re.IGNORECASE)
 COUNTER = re.compile(r".*(seq|count|index|time|stamp|came|arrived|received)", re.IGNORECASE)
+ARRIVAL = re.compile(r"(t_|time_)?(arriv|receiv|recv)", re.IGNORECASE)
 ACTIVE = 8  # largest number of active channels in a starter TOML; further ones are comments
 EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a timestamp this large counts from 1970 in this unit
 
@@ -162,8 +163,9 @@ def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
         *([] if any(c.stamp for c in found) else ["period = 1.0  # [s] from one row to the next: write yours"]),
     ]
     for c in found:
+        arrival = None if kind.arrived else _arrival(c)
         for field, s in c.fields.items():
-            if field == c.stamp or field in c.topic.times or not s.spread.many:
+            if field in (c.stamp, arrival) or field in c.topic.times or not s.spread.many:
                 continue
             name, unit = tables.name_and_unit(field)
             is_input = INPUT.fullmatch(name) or INPUT.fullmatch(c.topic.name)
@@ -176,9 +178,27 @@ def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
             entry[key] = c.stamp if c.stamp != kind.stamp else ""
             block = [f"[{table}.{letter}{counts[table] + bool(mark)}]  # {s.spread.least:.6g} to {s.spread.most:.6g}"]
             block += [f"{key} = {_text(value)}" for key, value in entry.items() if value]
-            block += [] if is_input or kind.arrived else ["delay = 0.0  # [s] from the stamp to the arrival"]
+            if arrival and not is_input:
+                block.append(f"arrived = {_text(arrival)}")
+            elif not (is_input or kind.arrived):
+                block.append("delay = 0.0  # [s] from the timestamp to the arrival")
             lines += ["", *(mark + line for line in block)]
     return "\n".join(lines) + "\n"
+
+
+def _arrival(c: Contents) -> str | None:
+    """Return the field of the times of arrival: named so, complete, and never before the timestamps at both ends."""
+    stamps = c.fields.get(str(c.stamp), FieldStats())
+    if not stamps.spread.many:
+        return None
+    for field, s in c.fields.items():
+        name, unit = tables.name_and_unit(field)
+        if field == c.stamp or not ARRIVAL.match(name) or unit != tables.name_and_unit(str(c.stamp))[1]:
+            continue
+        complete = s.spread.many == stamps.spread.many
+        if complete and s.spread.least >= stamps.spread.least and s.spread.most >= stamps.spread.most:
+            return field
+    return None
 
 
 def _text(value: str) -> str:

@@ -185,6 +185,11 @@ def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) 
 
 def format_of(file: Path, where: str) -> Format:
     """Return the format of a file by its name; raise UserError for an unknown one."""
+    if file.is_dir() and not (file / "metadata.yaml").is_file():
+        raise UserError(
+            f"{where}: the folder {file.name} has neither a table measurements.csv (or .parquet) nor a metadata.yaml of a ROS "
+            "2 bag; to combine several files, see pcbench guide recording-files."
+        )
     kind = FORMATS.get("" if file.is_dir() else file.suffix.lower())
     if kind is None:
         valid = ", ".join(k for k in FORMATS if k)
@@ -220,6 +225,11 @@ def _validated(model: type[M], raw: TomlTable, path: Path) -> M:
             what = 'channel, expected one at least; write [channels.y1] with field = "NAME" and unit = "m"'
             what = what if place == "channels" else "log, expected the name of the file; write log = NAME"
             raise UserError(f"{path.name}: got no {what}, or remove the # before those that are meant.") from None
+        if place == "log":
+            raise UserError(
+                f'{path.name}: log is the name of one file or folder; write log = "camera.csv". To combine several files, see '
+                "pcbench guide recording-files."
+            ) from None
         what = first["msg"][0].lower() + first["msg"][1:]
         raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
 

@@ -98,6 +98,27 @@ def test_starter_toml_has_the_unit_of_stamps_by_their_size(tmp_path, scale, unit
     assert survey(readers.open_log(tmp_path / "start.toml")).start == pytest.approx(1_772_366_400)
 
 
+def test_starter_toml_takes_a_column_of_arrivals_from_its_name(tmp_path):
+    pd.DataFrame({"t_taken": T, "t_arrived": T + 0.15, "angle": np.sin(T)}).to_csv(tmp_path / "run.csv", index=False)
+    text = contents.starter_toml(tmp_path / "run.csv", contents.contents(tmp_path / "run.csv"), tmp_path)
+    (tmp_path / "start.toml").write_text(text)
+    row = pcbench.info(tmp_path / "start.toml").iloc[0]
+    assert (row.channel, row.samples, row.delay_median) == ("y1", 80, pytest.approx(0.15))
+    assert "delay =" not in text
+
+
+def test_folder_of_unrelated_tables_names_what_it_lacks(tmp_path):
+    pd.DataFrame({"t": T, "gyro": np.sin(T)}).to_csv(tmp_path / "imu.csv", index=False)
+    with pytest.raises(UserError, match="has neither a table measurements"):
+        contents.contents(tmp_path)
+
+
+def test_list_of_files_is_refused_with_the_page_that_combines_them(tmp_path):
+    (tmp_path / "both.toml").write_text('log = ["imu.csv", "camera.csv"]\n[channels.y1]\nfield = "angle"\nunit = "rad"')
+    with pytest.raises(UserError, match=r"log is the name of one file .* pcbench guide recording-files"):
+        readers.open_log(tmp_path / "both.toml")
+
+
 def test_columns_of_structs_and_times_by_type_are_fields(tmp_path):
     stamps = pd.to_datetime(1_772_366_400 + T, unit="s")
     poses = [{"position": {"x": x, "y": 0.0}} for x in np.sin(T)]
