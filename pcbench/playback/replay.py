@@ -261,7 +261,8 @@ def _results(
     better = better_dt(times, dt, min(c.intervals.median for c in a.survey.channels.values()))
     if better is not None:
         a.remarks.append(
-            f"times are rounded by up to {off:.3g} s at dt = {dt:g} s; with dt = {better:g} s they hardly would be."
+            f"times are rounded by up to {off:.3g} s, because a tick is {dt:g} s; with a tick of {better:g} s the error is "
+            "much smaller."
         )
     summary = {
         "log": a.name,
