@@ -81,10 +81,10 @@ int main(int argc, char **argv)
                known[i] ? sqrt(error[i] / known[i]) : (double)NAN);
     }}
     if (argc < 2) {{
-        printf("%lu bytes of memory, %lu of gains, %lu of now", (unsigned long)sizeof memory,
+        printf("bytes: %lu memory, %lu gains, %lu inputs and times", (unsigned long)sizeof memory,
                (unsigned long)sizeof {label}_nominal, (unsigned long)sizeof now);
         if ({label}_products) {{
-            printf("; %ld products the last sample, %ld a tick", sample[0] + sample[1] + sample[2], tick);
+            printf("; multiplications: %ld for the last sample, %ld per tick", sample[0] + sample[1] + sample[2], tick);
         }}
         printf("\\n");
     }}

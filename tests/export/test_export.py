@@ -65,7 +65,7 @@ def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
     assert done.returncode == 0, done.stderr
     if files.compiler() is None:
         pytest.skip("there is no C compiler here: install one, for this to be tested")
-    assert "99 products the last sample, 10 a tick" in done.stdout
+    assert "multiplications: 99 for the last sample, 10 per tick" in done.stdout
     assert re.search(r"position \[m\] +\d", done.stdout)
     line = re.search(r"Compile: (cc .*)$", done.stdout, re.M)[1]
     ran = subprocess.run(line, shell=True, cwd=tmp_path / "c", capture_output=True, text=True, check=True)
