@@ -16,6 +16,7 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
     """Return the estimated time [s] of a call, from calls that end early, each after twice as many ticks.
 
     They stop if the last one took `ENOUGH` seconds, or ran a sixteenth of the ticks, or if a call is clearly `SHORT`.
+    The first call of all may include the start of the program, so its time alone is no estimate: a second call follows.
     The first ticks are faster than later ones, because no measurement has arrived, so this is a lower estimate. The
     reference engine cannot end a call early, and the result is 0.
     """
@@ -23,7 +24,7 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
         return 0.0
     many, before = int(job.problem.windows[-1, 1]), (0, 0.0)
     end, rest = FIRST, 0.0
-    while end <= many // 16 and before[1] < ENOUGH:
+    while end <= many // 16 and (before[1] < ENOUGH or before[0] <= FIRST):
         windows = np.minimum(job.problem.windows, end)
         windows[-1] = end, end + 1
         start = perf_counter()

@@ -18,7 +18,7 @@ def job(ticks):
 @pytest.fixture
 def clock(monkeypatch):
     """A clock that moves by what each tick costs: `costs` (before the first arrival, after it, the tick of that)."""
-    now, ends, costs = [0.0], [], [0.01, 0.5, 40]
+    now, ends, costs, start = [0.0], [], [0.01, 0.5, 40], [0.02, 0.02]
 
     def serial(made, jobs):
         (one,) = jobs
@@ -27,12 +27,12 @@ def clock(monkeypatch):
         assert (windows[1:, 0] == windows[:-1, 1]).all(), "one window begins where another ends"
         end = int(windows[-1, 1])
         ends.append(end - 1)
-        now[0] += 0.02 + costs[0] * min(end, costs[2]) + costs[1] * max(end - costs[2], 0)
+        now[0] += start[min(len(ends) - 1, 1)] + costs[0] * min(end, costs[2]) + costs[1] * max(end - costs[2], 0)
         yield None
 
     monkeypatch.setattr(runner, "serial", serial)
     monkeypatch.setattr(timing, "perf_counter", lambda: now[0])
-    return SimpleNamespace(ends=ends, costs=costs)
+    return SimpleNamespace(ends=ends, costs=costs, start=start)
 
 
 STEPS = SimpleNamespace(layout=SimpleNamespace(defined=False))
@@ -47,6 +47,12 @@ def test_estimate_is_of_ticks_after_the_first_arrival(clock):
 def test_constant_cost_of_a_tick_is_found_exactly(clock):
     clock.costs[:] = 0.1, 0.1, 0
     assert timing.seconds(STEPS, job(5000)) == pytest.approx(500, rel=1e-3)
+
+
+def test_slow_start_of_the_program_is_not_a_cost_of_its_ticks(clock):
+    clock.start[0] = 3.0
+    clock.costs[:] = 0.001, 0.001, 0
+    assert timing.seconds(STEPS, job(30_000)) == pytest.approx(30, rel=0.01)
 
 
 def test_call_that_is_clearly_short_is_timed_once(clock):
