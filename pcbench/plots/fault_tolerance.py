@@ -84,7 +84,7 @@ def bearing(
     with sheet(paper, f"{words}: {about(result, whole, {})}", len(axes), columns, height=1.1) as (figure, drawn):
         for ax, name in zip(drawn, axes, strict=True):
             mine = parts[parts.axis == name].sort_values("value")
-            place = set_values(ax, "x", list(dict.fromkeys(mine.value)))
+            place = set_values(ax, "x", list(dict.fromkeys(mine.value)), frames.INFINITE.get(name, "∞"))
             set_range(ax, "y", [*parts.part, 1.0])
             ax.set_xlabel(frames.label(name, frames.titles(result, whole)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)

@@ -15,6 +15,7 @@ from pcbench import statistics
 from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
+from pcbench.fields import FIELDS
 from pcbench.fields import names as names_of_fields
 from pcbench.plants import output_units, states_of
 from pcbench.plots import layout
@@ -28,6 +29,7 @@ METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
 FIRST = 4  # runs, of which the first interval is
 POINTS = 100  # of a distribution
+INFINITE = {f.name: f.infinite for f in FIELDS if f.infinite}  # what infinity means, by axis
 ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are one run
 
 
@@ -189,11 +191,17 @@ def titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
     return out
 
 
+def word(axis: str, value: object) -> str:
+    """Return a value of an axis without its unit, and infinity as what it means there."""
+    return layout.word(value, INFINITE.get(axis, "∞"))
+
+
 def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None = None) -> str:
     """Return an axis' name with a value and its unit: "delay of y2: 0.2 s"; `titles` are those of its scenario."""
     title = (titles or {}).get(axis) or AxisTitle(AXIS_UNITS.get(axis, ""))
-    text, name = layout.word(value), f"{name_of(axis, title)}{':' if title.channels else ''}"
-    unit = "" if title.unit == "1" or " " in title.unit or value is None else f" {title.unit}".rstrip()
+    text, name = word(axis, value), f"{name_of(axis, title)}{':' if title.channels else ''}"
+    wordless = title.unit == "1" or " " in title.unit or value is None or text == INFINITE.get(axis)
+    unit = "" if wordless else f" {title.unit}".rstrip()
     if isinstance(value, str):  # a word has no unit, but the numbers of channels have
         return f"{name} {text.replace(', ', f'{unit}, ')}{unit}" if ": " in value else f"{name} {text}"
     return f"{name} {text}{unit}"
@@ -308,7 +316,7 @@ def telling(result: Result, scenario: str | None = None, signal: str | None = No
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
     """Return the two axes of a map, across and up: the first two that vary; of these the one with the longer words goes up."""
     across, up = varying(part)[:2]
-    long = [sum(len(layout.word(v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
+    long = [sum(len(word(name, v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
     return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
 
 

@@ -276,7 +276,7 @@ def set_values(ax: Axes, side: str, values: Sequence[Any], infinite: str = "∞"
     Words, and what has no order, are spaced evenly. Infinity, which is called `infinite`, lies beyond the numbers of a wide
     axis, which then has ticks at powers of ten.
     """
-    words = [word(value).replace(", ", ",\n") for value in values]
+    words = [word(value, infinite).replace(", ", ",\n") for value in values]
     if ends_in_infinity(values):
         numbers = sorted(float(v) for v in values if isfinite(v))
         step = 10 ** (MARGIN * log10(numbers[-1] / numbers[0]))
@@ -314,12 +314,12 @@ class EqualDigits(Formatter):
         return ["0" if abs(v) <= 1e-9 * largest else f"{v:.{digits}f}" for v in values]
 
 
-def word(value: object) -> str:
+def word(value: object, infinite: str = "∞") -> str:
     """Return a value of a study's axis as a picture says it; "own" where it is the scenario's own."""
     if value is None or value != value:
         return "own"
     if isinstance(value, float) and isinf(value):
-        return "∞" if value > 0 else "-∞"
+        return infinite if value > 0 else "-∞"
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 

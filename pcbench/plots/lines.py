@@ -15,7 +15,6 @@ from scipy.special import ndtri
 from pcbench.dataset.result import Result
 from pcbench.dataset.validate_exact import ExactValidation
 from pcbench.errors import UserError, unknown
-from pcbench.fields import FIELDS
 from pcbench.plots import crossings, frames
 from pcbench.plots.labels import about, title_of, unit_of
 from pcbench.plots.layout import (
@@ -96,7 +95,7 @@ def curves(
     others = {a: value for a, value in others.items() if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
-        place = set_values(ax, "x", every, next((f.infinite for f in FIELDS if f.name == axis and f.infinite), "∞"))
+        place = set_values(ax, "x", every, frames.INFINITE.get(axis, "∞"))
         set_range(ax, "y", [*ends.ravel(), *[1.0] * (metric in BANDS)], is_positive(ends))
         numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
         ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))

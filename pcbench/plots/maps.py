@@ -54,6 +54,7 @@ class Side(NamedTuple):
 
     title: str
     values: list[Any]
+    words: list[str]
 
 
 Cells = Mapping[tuple[Hashable, Hashable], Cell]  # by the values of both axes
@@ -186,7 +187,8 @@ def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> C
 def _side(result: Result, part: pd.DataFrame, axis: str) -> Side:
     values = list(dict.fromkeys(part[axis]))
     ordered = sorted(values) if all(isinstance(v, int | float) for v in values) else values
-    return Side(frames.label(axis, frames.titles(result, part)), ordered)
+    words = [frames.word(axis, value) for value in ordered]
+    return Side(frames.label(axis, frames.titles(result, part)), ordered, words)
 
 
 def _norm(values: pd.Series) -> Normalize:
@@ -213,7 +215,7 @@ def draw(
 ) -> Figure:
     """Draw maps with their titles side by side, as many as two columns of the paper hold; titles once a column and a row."""
     fine = is_fine(x, y)
-    em, words = paper.em, [list(map(layout.word, side.values)) for side in (x, y)]
+    em, words = paper.em, [x.words, y.words]
     words[0] = [word.replace(", ", ",\n") for word in words[0]]
     lines = max(word.count("\n") for word in words[0])
     room = max(paper.width_of(w, 1) for w in words[1]) + 2 * em
@@ -264,7 +266,7 @@ def _fill(ax: Axes, cells: Cells, x: Side, y: Side, fine: bool) -> None:
         image[j, i] = to_rgb(cell.colour)
         if not fine:
             patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor="#FFFFFF", linewidth=0.8)
-            patch.set_gid(f"tip:{cell.tip}, {x.title} {layout.word(a)}, {y.title} {layout.word(b)}")
+            patch.set_gid(f"tip:{cell.tip}, {x.title} {x.words[i]}, {y.title} {y.words[j]}")
             ax.add_patch(patch)
     if fine:
         ax.imshow(image, origin="lower", aspect="auto", interpolation="nearest", zorder=0.5)

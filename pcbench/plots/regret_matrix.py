@@ -138,7 +138,7 @@ def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tup
     for axis in result.study.axes:
         names = {frames.label(axis, frames.titles(result, part)) for part in parts}
         name = names.pop() if len(names) == 1 else frames.label(axis).partition(" [")[0]
-        found.append(Level(name, [layout.word(point[axis]) if axis in point else "" for point in values]))
+        found.append(Level(name, [frames.word(axis, point[axis]) if axis in point else "" for point in values]))
     return [level for level in found if len(set(level.words)) > 1]
 
 

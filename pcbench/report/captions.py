@@ -134,7 +134,7 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     for observer, mine in first.groupby("observer", sort=False):
         a, b = mine.iloc[0], mine.iloc[-1]
         ends = [
-            f"{_format_value(row['mean'], unit, _absent(row['diverged']))} at {layout.word(row[axis])}"
+            f"{_format_value(row['mean'], unit, _absent(row['diverged']))} at {frames.word(axis, row[axis])}"
             for row in (a, b)
         ]
         said.append(f"{observer}: {' to '.join(ends)}")

@@ -127,8 +127,9 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
     titles = frames.titles(result, points)
     axes, places = [], []
     for name in frames.varying(points):
-        values = list(dict.fromkeys(map(layout.word, points[name])))
-        places.append([values.index(layout.word(v)) for v in points[name]])
+        words = [frames.word(name, v) for v in points[name]]
+        values = list(dict.fromkeys(words))
+        places.append([values.index(word) for word in words])
         axes.append(_axis(name, values, points[name], titles))
     lost = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
     return {

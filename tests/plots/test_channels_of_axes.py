@@ -1,5 +1,7 @@
 """Axes with one value per channel: their values are numbers of the channels that change, or words that name each channel."""
 
+import json
+
 import pytest
 
 import pcbench
@@ -79,3 +81,17 @@ def test_successive_equal_channels_are_one():
     names = [f"y{i}" for i in range(1, 7)]
     assert frames.name_values(names, ["0", "0", "0", "7", "7", "7"]) == "y1 to y3: 0, y4 to y6: 7"
     assert frames.name_values(names[:3], ["1", "2", "2"]) == "y1: 1, y2 and y3: 2"
+
+
+def test_infinity_is_what_it_means_on_its_axis_and_has_no_unit():
+    said = {"processor_speed": "processor speed no limit", "student_t_dof": "student t dof Gaussian"}
+    assert {axis: frames.format_axis(axis, float("inf")) for axis in said} == said
+    assert frames.format_axis("processor_speed", 2e5) == "processor speed 2·10⁵ multiplications/s"
+
+
+def test_explorer_calls_infinity_as_figures_do():
+    study = {"name": "tails", "scenarios": ["cart/white"], "observers": ["kf"], "seeds": 2}
+    result = pcbench.run(study | {"axes": {"student_t_dof": [float("inf"), 3.0]}})
+    (axis,) = json.loads(explorer.numbers(result, "steady_rmse"))["scenarios"][0]["axes"]
+    figure = plots.curves(result, "student_t_dof")
+    assert axis["words"] == [t.get_text() for t in figure.axes[0].get_xticklabels()] == ["Gaussian", "3"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 from walked import STUDIES as SHORT
 
 import pcbench
@@ -65,6 +66,7 @@ def faults(picture, result, seeds):
     figure, note = picture.figure, picture.note
     keys, title = captions.keys_of(figure), figure.legends[0].get_title().get_text().replace("\n", " ")
     words = " ".join([title, note, picture.text, *keys])
+    shown = " ".join([words, *(text.get_text() for text in figure.findobj(Text))])
     collections = [c for ax in figure.axes for c in ax.collections]
     shaded = any(isinstance(c, PolyCollection) for c in collections)
     segments = [s for c in collections if isinstance(c, LineCollection) for s in c.get_segments() if len(s)]
@@ -90,6 +92,7 @@ def faults(picture, result, seeds):
         "exact": not result.exact
         or picture.name.endswith(OF_ONE_RUN)
         or not re.search(TESTED, re.sub("pooled over runs|of one run", "", words)),
+        "infinity": "student_t_dof" not in result.study.axes or "∞" not in shown,
         "runs or seed": picture.name == "fair" or re.search(r"\bruns\b|seed \d|exact values", title),
         "number of runs": {int(n.replace(",", "")) for n in re.findall(r"(\d[\d,]*) runs", words)}
         <= {seeds, one_run.RUNS},
