@@ -1,11 +1,12 @@
 """Regret matrix: the error of each observer in each situation, divided by the least error of that situation.
 
-A situation is a scenario at a grid point. Those whose least error is 0 are left out.
+A situation is a scenario at a grid point. Those whose least error is 0 are left out. The least errors are the last row: how
+much a wrong assumption costs shows only there, as the ratios of each column begin at 1.
 """
 
 from collections.abc import Mapping
 from itertools import pairwise
-from math import ceil, inf, isfinite
+from math import ceil, floor, inf, isfinite, log10
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -19,7 +20,7 @@ from matplotlib.transforms import offset_copy
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, layout
-from pcbench.plots.labels import describe_metric, describe_runs
+from pcbench.plots.labels import describe_metric, describe_runs, unit_of, with_unit
 from pcbench.plots.layout import PAPER, Paper, sheet
 from pcbench.plots.palette import GRID, SOFT, on
 from pcbench.statistics.aggregate import Row
@@ -31,6 +32,7 @@ MOST = 48  # situations; of more there is no matrix
 ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, of the margin
 LINE, SEPARATOR = 1.45, " | "  # between lines of labels [heights of letters]; between words of one
 DARKEST = 10.0  # at least the ratio with the darkest colour
+SMALL = 0.01  # a least error below it is written with a power of ten
 HATCH = "#C4C4C499"  # of cells that are not significant
 KEYS = (1.0, 2.0, 5.0, 10.0, 100.0)
 COLOURS = LinearSegmentedColormap.from_list("regrets", ["#FFFFFF", "#A9C1DA", "#5A88B8", "#1B4674"])
@@ -59,6 +61,8 @@ class Regrets(NamedTuple):
     runs: int  # 0: exact
     signals: list[str]
     levels: list[Level]  # of the labels of the columns, the outermost first
+    least: dict[str, float]  # the least error of each situation
+    unit: str  # of the least errors; empty: their units differ
 
     @property
     def ties(self) -> pd.Series:
@@ -85,7 +89,7 @@ def regrets_of(
     """
     metric = result.ranks(metric)
     parts, chosen, runs = list[pd.DataFrame](), dict[str, None](), 0
-    every, points = list[pd.DataFrame](), dict[str, tuple[str, int]]()
+    every, points, lowest = list[pd.DataFrame](), dict[str, tuple[str, int]](), dict[str, float]()
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
             part, stood = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
@@ -96,6 +100,7 @@ def regrets_of(
             titles = frames.titles(result, part)
             names = {cell: _situation(result, part, cell, titles) for cell in best}
             points |= {name: (scenario, cell) for cell, name in names.items()}
+            lowest |= {name: float(least[part.cell == cell].iloc[0]) for cell, name in names.items()}
             every.append(part)
             rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
             rows = rows.assign(scenario=scenario, signal=signal, cell=part.cell)
@@ -112,7 +117,17 @@ def regrets_of(
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
     levels = _levels(result, every, {name: points[name] for name in situations})
-    found = Regrets(whole, observers, situations, runs, list(chosen), levels)
+    units = {unit_of(part) for part in every}
+    found = Regrets(
+        rows=whole,
+        observers=observers,
+        situations=situations,
+        runs=runs,
+        signals=list(chosen),
+        levels=levels,
+        least={name: lowest[name] for name in situations},
+        unit=units.pop() if len(units) == 1 else "",
+    )
     largest = found.largest
     return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
@@ -174,12 +189,16 @@ def regrets(
     panels = ceil(many / COLUMNS)
     columns = ceil(many / panels)
     parts = [range(i, min(i + columns, many)) for i in range(0, many, columns)]
-    observers = max(paper.width_of(name, 1) for name in found.observers)
+    power, least = _scaled(list(found.least.values()))
+    unit = f"{layout.number(10.0**power)} {found.unit}".strip() if power else found.unit
+    rows = [*found.observers, *([with_unit("least", unit)] if found.unit else [])]
+    observers = max(paper.width_of(name, 1) for name in rows)
     names = max(observers, *(paper.width_of(level.name, 1) for level in found.levels))
-    cell = max(CELL, _cell_width(found.levels, parts, paper))
+    narrow = max([CELL, *(paper.width_of(word, 2) + 0.6 * paper.em for word in least if found.unit)])
+    cell = max(narrow, _cell_width(found.levels, parts, paper))
     upright = names + cell * columns + BESIDE > paper.full
     if upright:
-        names, cell = observers, CELL
+        names, cell = observers, narrow
         below = max(paper.width_of(label, 1) for label in _labels(found.levels)) + paper.em
     else:
         below = len(found.levels) * LINE * paper.em + 0.5 * paper.em
@@ -197,12 +216,17 @@ def regrets(
         paper,
         ", ".join(about),
         panels,
-        height=ROW * len(found.observers) + below,
+        height=ROW * len(rows) + below,
         width=max(paper.width, min(paper.full, names + cell * columns + BESIDE)),
         keys=keys,
     ) as (figure, axes):
         for ax, part in zip(axes, parts, strict=True):
             _draw_panel(ax, found, part, norm, paper)
+            ax.set(ylim=(len(rows) - 0.5, -0.5))
+            ax.set_yticks(range(len(rows)), rows)
+            for x, i in enumerate(part if found.unit else ()):
+                ax.text(x, len(found.observers), least[i], ha="center", va="center", fontsize=paper.size - 2, color=SOFT,
+                        in_layout=False)  # fmt: skip
             if upright:
                 ax.set_xticks(range(len(part)), [_labels(found.levels)[i] for i in part], rotation=90)
             else:
@@ -235,8 +259,7 @@ def _labels(levels: list[Level]) -> list[str]:
 
 def _draw_panel(ax: Axes, found: Regrets, columns: range, norm: LogNorm, paper: Paper) -> None:
     situations = [found.situations[i] for i in columns]
-    ax.set(xlim=(-0.5, len(situations) - 0.5), ylim=(len(found.observers) - 0.5, -0.5))
-    ax.set_yticks(range(len(found.observers)), found.observers)
+    ax.set(xlim=(-0.5, len(situations) - 0.5))
     ax.set_xticks([])
     ax.grid(False)
     ax.spines[:].set_visible(False)
@@ -270,6 +293,13 @@ def _draw_levels(ax: Axes, levels: list[Level], columns: range, paper: Paper) ->
             if line:
                 ends = [first - 0.4, last + 0.4]
                 ax.plot(ends, [0.0, 0.0], color=SOFT, linewidth=0.6, clip_on=False, transform=rule, label="_")
+
+
+def _scaled(least: list[float]) -> tuple[int, list[str]]:
+    """Return a power of ten, a multiple of 3, and errors divided by it with two digits, so that most are short."""
+    power = 3 * floor(log10(float(np.median([v for v in least if isfinite(v)] or 1.0))) / 3 + 1e-12)
+    power = 0 if -3 <= power < 3 and min(least) >= SMALL else power
+    return power, [layout.number(float(f"{v / 10.0**power:.2g}")) if isfinite(v) else "∞" for v in least]
 
 
 def number(ratio: float) -> str:

@@ -82,9 +82,11 @@ def best(found: Ratios) -> str:
 
 
 def regrets(found: Regrets) -> tuple[str, str]:
-    """Return the largest ratio of each observer, and which has the smallest, in a sentence."""
+    """Return the largest ratios and the least errors, and which observer has the smallest ratio, in a sentence."""
     largest = found.largest
     text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
+    if found.unit:
+        text += f" Least errors: {', '.join(f'{s} {_format_value(v, found.unit)}' for s, v in found.least.items())}."
     first, method = found.observers[0], describe_runs(found.runs)
     if found.ties.any():
         test = " by the paired t-test with Holm's correction at 5 %" if found.runs > 1 else ""

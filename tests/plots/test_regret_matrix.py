@@ -48,7 +48,7 @@ def test_regret_is_error_over_least_error_of_situation(result):
 @pytest.mark.ci
 def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
     found, (ax,) = regret_matrix.regrets_of(result), plots.regrets(result).axes
-    assert [t.get_text() for t in ax.get_yticklabels()] == found.observers
+    assert [t.get_text() for t in ax.get_yticklabels()] == [*found.observers, "least [m]"]
     below = [t.get_text() for t in ax.texts if t.get_va() == "top"]
     assert below == ["delay [s]", "0", "0.4", "0", "0.4", "", "white", "gaussian"], (
         "what all have in common is in the title"
@@ -80,6 +80,50 @@ def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
     said = " ".join(t.get_text().replace("\n", " ") for t in plots.regrets(result).findobj(Text))
     for part in ("6 runs", "not significant (paired t-test, Holm, 5 %)", "position", "situations, cart,"):
         assert part in said
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("paper", [plots.Paper(), plots.Paper(width=2.0, text=2.0)])
+def test_last_row_is_the_least_error_so_that_columns_can_be_compared(result, paper):
+    """A wrong assumption of all observers costs what the least error grows by: the ratios of its column begin at 1."""
+    least = by_hand(result).min(axis=1)
+    (ax,) = plots.regrets(result, paper=paper).axes
+    found = regret_matrix.regrets_of(result)
+    shown = {t.get_position()[0]: t.get_text() for t in ax.texts if t.get_position()[1] == len(found.observers)}
+    assert [shown[x] for x in range(len(found.situations))] == [f"{least[name]:.2g}" for name in found.situations]
+    assert f"Least errors: {found.situations[0]} {least[found.situations[0]]:.3g} m, " in captions.regrets(found)[0]
+
+
+@pytest.mark.parametrize(
+    ("least", "power", "words"),
+    [
+        ([0.314, 2.71], 0, ["0.31", "2.7"]),
+        ([0.00031, 0.0145, 0.0249], -3, ["0.31", "14", "25"]),
+        ([2.1e-7, 3.3e-7], -9, ["210", "330"]),
+        ([45000.0, 120000.0], 3, ["45", "120"]),
+        ([0.5, np.inf], 0, ["0.5", "∞"]),
+    ],
+)
+def test_least_errors_are_short(least, power, words):
+    assert regret_matrix._scaled(least) == (power, words)
+
+
+@pytest.mark.ci
+def test_least_errors_of_different_units_are_not_one_row(result):
+    """A unit at the begin of the row would be that of some of its numbers."""
+    found = regret_matrix.regrets_of(result)
+    assert found.unit == "m"
+    study = {
+        "name": "units",
+        "scenarios": ["cart/white", "csth/10s-noise"],
+        "observers": ["kf", "model-only"],
+        "seeds": 2,
+    }
+    mixed = pcbench.run(study)
+    assert regret_matrix.regrets_of(mixed).unit == ""
+    assert "Least errors" not in captions.regrets(regret_matrix.regrets_of(mixed))[0]
+    names = [t.get_text() for t in plots.regrets(mixed).axes[0].get_yticklabels()]
+    assert names == regret_matrix.regrets_of(mixed).observers
 
 
 @pytest.mark.ci
