@@ -22,7 +22,7 @@ MARKS = {
 }
 MOST = 4  # grid points that have their own table; of more, wins are counted
 COSTS = {"sample": "multiplications per sample", "tick": "multiplications per tick", "memory": "bytes of memory"}
-BESIDE = ("rmse", "steady_rmse", "rms_efficiency")  # columns after the metric that ranks
+BESIDE = ("rmse", "steady_rmse", "rms_efficiency", "steady_tracking_rmse")  # columns after the metric that ranks
 
 
 class HeadlineRow(NamedTuple):

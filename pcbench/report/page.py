@@ -39,12 +39,14 @@ WORDS = {
 }
 MANY = 4  # scenarios: of more, the size of the error over time is drawn for the first alone, so that a page stays small
 BROAD = 1.25  # columns: broader figures come last, as they have a row of their own
+TWO = 2  # figures of a row: more narrow ones are put into columns, so that a third leaves no half of a row empty
 HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
 POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
 )
 SVG, STYLE = re.compile(r"<svg.*?</svg>", re.S), re.compile(r' style="([^"]*)"')
-ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", "divergence_rate")
+LOOP = "the same of the set point minus the state of the closed loop, which is small where the loop settles"
+ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", summary.LOOP, "divergence_rate")
 
 
 class Part(NamedTuple):
@@ -103,6 +105,7 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
     whole = sorted(figures.of_study(result, shown), key=lambda p: p.figure.get_figwidth() > BROAD * shown.paper.width)
     head = [*([first] if first else []), *map(inline_picture, whole)]
+    narrow = len(head) > TWO and all(p.figure.get_figwidth() <= BROAD * shown.paper.width for p in whole)
     meaning = {m: MEANING.get(m, explorer.OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
@@ -119,9 +122,12 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
         sure=_how_sure(result),
         method=_method(result),
         head=head,
+        column=max((p["width"] for p in head), key=lambda width: float(width.removesuffix("pt"))) if narrow else "",
         tally=won,
         alone=len(won) == 1,
         summary=rows,
+        tracking=summary.LOOP if any(row.loop for row in rows) else "",
+        tracking_means=LOOP,
         several=any(t.of > len(rows) for t in won),
         anchors=anchors,
         sections=sections,

@@ -17,6 +17,7 @@ from pcbench.statistics.ranking import most_often
 from pcbench.study import title_of_scenario
 
 MOST = 7  # others that are named in a row
+LOOP = "steady_tracking_rmse"  # says whether a loop settles, as errors of estimates do not
 SURE = 1e-3  # a p-value below it is written as that
 
 
@@ -30,6 +31,7 @@ class Row(NamedTuple):
     sure: bool  # no other observer is significantly better
     won: str  # significance, in words
     value: str  # its metric with interval
+    loop: str  # its error of tracking with interval; empty: there is no loop with a set point, or that is its metric
     others: list[tuple[str, str, str]]  # name, colour, how many times larger
     tells: float  # by which rows are ordered, the largest first
 
@@ -106,11 +108,8 @@ def _row(result: Result, stood: Stood) -> Row:
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     leaders = [best] if several and best else most_often(found.leaders)[0]
     unit, own = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
-    value = "-"
-    if len(own) and not several:
-        value = quantity(number_format.interval(own.iloc[0]), unit)
-    elif len(own) and np.isfinite(own["mean"].min()):
-        value = quantity(f"{number(own['mean'].min())} to {number(own['mean'].max())}", unit)
+    loop = result.stats_of(scenario, signal)
+    loop = loop[(loop.metric == LOOP) & loop.observer.isin(own.observer)]
     return Row(
         scenario=scenario,
         title=title_of_scenario(result.study, scenario),
@@ -118,12 +117,22 @@ def _row(result: Result, stood: Stood) -> Row:
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),
         won=_significance(found, won, best, deterministic, frames.runs_of(part)) if multiples[1:] else "one observer",
-        value=value,
+        value=_value(own, unit),
+        loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
         others=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
         tells=(0 if deterministic else 100)
         + (50 if len(won) else 0)
         + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0),
     )
+
+
+def _value(own: pd.DataFrame, unit: str) -> str:
+    """Return the mean of one grid point with its interval, or the range of the means of several."""
+    if own.cell.nunique() == 1:
+        return quantity(number_format.interval(own.iloc[0]), unit)
+    if len(own) and np.isfinite(own["mean"].min()):
+        return quantity(f"{number(own['mean'].min())} to {number(own['mean'].max())}", unit)
+    return "-"
 
 
 def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic: bool, runs: int) -> str:

@@ -13,7 +13,7 @@ import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import frames, labels, layout
-from pcbench.report import captions, experiment, figures, page
+from pcbench.report import captions, experiment, figures, page, summary
 from pcbench.statistics import number_format
 from pcbench.study import parse
 
@@ -354,3 +354,21 @@ def test_what_a_user_names_stays_text(folder, text):
     assert "<script>m" not in named
     assert html.escape(f"[{unit}]", quote=False) in named, "it stands there, as a text"
     assert named.count("<script>") == text.count("<script>") == 1
+
+
+@pytest.mark.ci
+def test_a_closed_loop_shows_whether_it_settles():
+    """Errors of the estimates say nothing of it: a loop that oscillates has the same ones."""
+    result = pcbench.run(
+        {"name": "loop", "scenarios": ["ncs-two-state/held", "cart/white"], "observers": ["kf"], "seeds": 3}
+    )
+    held, cart = summary.rows(result, summary.stood(result, "steady_rmse", None))
+    mine = result.stats_of("ncs-two-state/held", "position")
+    (row,) = mine[mine.metric == "steady_tracking_rmse"].to_dict("records")
+    assert held.loop == f"{number_format.interval(row)} m"
+    assert cart.loop == "", "it follows no set point"
+    text = page.page(result)
+    assert f'<td data-of="steady_tracking_rmse">{held.loop}</td>' in text
+    assert '<td data-of="steady_tracking_rmse">-</td>' in text
+    open_loop = pcbench.run({"name": "open", "scenarios": ["cart/white"], "observers": ["kf"], "seeds": 3})
+    assert "tracking" not in page.page(open_loop).partition('<script id="numbers"')[0]
