@@ -337,6 +337,42 @@ def test_figures_take_the_width_of_the_page(browser, report):
 
 
 @needs_browser
+def test_figures_at_the_head_leave_no_half_of_a_row_empty(browser, report):
+    """At 1024 pixels the third of three figures had a row of its own; a single one has its caption at its right."""
+    script = """JSON.stringify([...document.querySelectorAll('#summary figure')].map(each => {
+        const box = each.getBoundingClientRect(); return [box.left, box.top, box.bottom]; }))"""
+    for width, columns in ((390, 1), (1024, 2), (1600, 3)):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.call("Emulation.setDeviceMetricsOverride", **size)
+        visit(browser, report.as_uri())
+        places = json.loads(ask(browser, script))
+        assert len(places) == 3
+        assert len({left for left, *_ in places}) == columns
+        assert sum(top < places[0][2] for _, top, _ in places) == columns, "as many begin above the end of the first"
+    alone = """(() => { const [first, ...others] = document.querySelectorAll('#summary figure');
+        others.forEach(each => each.remove()); first.parentElement.classList.remove('columns');
+        const [picture, caption] = first.querySelectorAll('.picture, figcaption');
+        return caption.getBoundingClientRect().left - picture.getBoundingClientRect().right; })()"""
+    assert 0 < ask(browser, alone) < 100
+    browser.call("Emulation.clearDeviceMetricsOverride")
+
+
+@needs_browser
+def test_significance_is_read_without_scrolling(browser, report):
+    """In the table of the interactive figure, "not significantly worse, p = 0.06" was cut off at 1024 pixels."""
+    size = {"width": 1024, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    visit(browser, report.as_uri())
+    cells = ["high-gain-predictor", "0.004695 (0.00371 to 0.00594) rad", "16", "2 of 16 runs", "1.91 (1.31 to 2.79)"]
+    row = "".join(f"<td>{cell}</td>" for cell in [*cells, "not significantly worse, p = 0.066"])
+    table = "document.querySelector('#values')"
+    ask(browser, f"{table}.innerHTML = '<tr>{row}</tr>'")
+    wide = f"{table}.parentElement.scrollWidth - {table}.parentElement.clientWidth"
+    assert ask(browser, wide) <= 0
+    browser.call("Emulation.clearDeviceMetricsOverride")
+
+
+@needs_browser
 def test_two_figures_stand_side_by_side_on_paper(browser, report):
     """Of figures that did not fit side by side, each had a page of its own."""
     size = {
