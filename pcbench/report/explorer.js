@@ -1,7 +1,7 @@
 // The interactive figure. `data` is described in explorer.py. The address after # contains the state: every choice that is not
 // the default. Arrays of numbers are flat: observer i at grid point j is at i * (number of grid points) + j.
 const SCENARIO = "scenario", OBSERVER = "observer"; // x axes in addition to those of the study
-const INK = "#1b1b1b", SOFT = "#6b6b6b", LINE = "#e4e4e4", LETTER = 6.7; // pixels of a letter, about
+const INK = "#1b1b1b", SOFT = "#6b6b6b", LINE = "#e4e4e4";
 const byId = id => document.getElementById(id);
 const finite = v => v !== null && v !== undefined && Number.isFinite(v);
 const plural = (n, word) => `${n.toLocaleString("en")} ${word}${n === 1 ? "" : "s"}`;
@@ -186,7 +186,7 @@ function folded(text, width) {
   const lines = [""];
   for (const word of text.split(" ")) {
     const longer = `${lines[lines.length - 1]} ${word}`.trim();
-    if (longer.length * LETTER > width && lines[lines.length - 1]) lines.push(word); else lines[lines.length - 1] = longer;
+    if (widthOf(longer) > width && lines[lines.length - 1]) lines.push(word); else lines[lines.length - 1] = longer;
   }
   return lines;
 }
@@ -213,6 +213,9 @@ function draw() {
   pick();
 }
 
+const pen = document.createElement("canvas").getContext("2d");
+function widthOf(words) { pen.font = getComputedStyle(byId("plot")).font; return pen.measureText(words).width; } // in pixels
+
 function text(parent, x, y, words, anchor = "start", colour = INK) {
   return make(parent, "text", {x, y, "text-anchor": anchor, fill: colour}, words);
 }
@@ -226,7 +229,7 @@ function heading({svg, width}, over = "") {
 function lines(d) { // over an axis of numbers: a line per observer
   const {svg, width} = d, top = heading(d), height = Math.round(Math.min(460, Math.max(300, width * 0.45))), bottom = height - 40;
   const y = scaleOf(d.ends, d.log, bottom, top), marks = ticks(y.low, y.high, d.log);
-  const left = 10 + LETTER * Math.max(...marks.map(v => number(v).length), 1), right = width - 14;
+  const left = 10 + Math.max(...marks.map(v => widthOf(number(v))), 7), right = width - 14;
   const x = scaleOf(d.axis.values, d.axis.log, left + 8, right - 8, 0.0001);
   for (const v of marks) {
     make(svg, "line", {x1: left, x2: right, y1: y.place(v), y2: y.place(v), stroke: LINE});
@@ -234,7 +237,7 @@ function lines(d) { // over an axis of numbers: a line per observer
   }
   let free = -Infinity;
   d.words.map((word, i) => [d.axis.values[i], word]).sort((a, b) => a[0] - b[0]).forEach(([v, word]) => {
-    const half = word.length * LETTER / 2 + 4, at = Math.min(x.place(v), width - half);
+    const half = widthOf(word) / 2 + 4, at = Math.min(x.place(v), width - half);
     make(svg, "line", {x1: x.place(v), x2: x.place(v), y1: bottom, y2: bottom + 4, stroke: SOFT});
     if (at - half > free) { text(svg, at, bottom + 17, word, "middle"); free = at + half; }
   });
@@ -255,7 +258,7 @@ function lines(d) { // over an axis of numbers: a line per observer
 }
 
 function rows(d) { // over words: a row per observer of each word
-  const {svg, width} = d, single = state.x === OBSERVER, longest = LETTER * Math.max(...d.words.map(w => w.length), 1) + 12;
+  const {svg, width} = d, single = state.x === OBSERVER, longest = Math.max(...d.words.map(widthOf), 7) + 12;
   const above = longest > 0.4 * width, left = above ? 8 : longest, right = width - 14, step = single ? 20 : 11;
   let y = heading(d, d.axis ? ` over ${d.axis.label}` : "") + 6;
   const top = y - 8, x = scaleOf(d.ends, d.log, left + 6, right - 10), body = make(svg, "g");
@@ -278,7 +281,7 @@ function rows(d) { // over words: a row per observer of each word
   const bottom = y;
   let free = -Infinity;
   for (const v of ticks(x.low, x.high, d.log)) {
-    const half = number(v).length * LETTER / 2 + 4, at = Math.min(x.place(v), width - half);
+    const half = widthOf(number(v)) / 2 + 4, at = Math.min(x.place(v), width - half);
     make(body, "line", {x1: x.place(v), x2: x.place(v), y1: top, y2: bottom, stroke: LINE});
     if (at - half > free) { text(svg, at, bottom + 16, number(v), "middle"); free = at + half; }
   }

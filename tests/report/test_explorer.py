@@ -373,6 +373,20 @@ def test_significance_is_read_without_scrolling(browser, report):
 
 
 @needs_browser
+def test_long_names_of_rows_are_whole(browser, report):
+    """At the left of the interactive figure the first letter of mhe-bounded-published was cut off."""
+    visit(browser, report.as_uri())
+    out = ask(
+        browser,
+        """(() => {
+        data.observers[0].name = "MMMMMMMMMM-WWWWWWWWWW"; change({x: OBSERVER});
+        const edge = byId("plot").getBoundingClientRect().left;
+        return Math.min(...[...byId("plot").querySelectorAll("text")].map(t => t.getBoundingClientRect().left - edge)); })()""",
+    )
+    assert out >= 0
+
+
+@needs_browser
 def test_two_figures_stand_side_by_side_on_paper(browser, report):
     """Of figures that did not fit side by side, each had a page of its own."""
     size = {
