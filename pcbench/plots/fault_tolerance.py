@@ -8,7 +8,7 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
 from pcbench.plots.labels import about, describe_metric
-from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
+from pcbench.plots.layout import PAPER, Paper, is_positive, set_range, set_values, sheet
 from pcbench.plots.palette import SOFT, styles
 
 ALONE = "model-only"  # the model alone
@@ -85,7 +85,7 @@ def bearing(
         for ax, name in zip(drawn, axes, strict=True):
             mine = parts[parts.axis == name].sort_values("value")
             place = set_values(ax, "x", list(dict.fromkeys(mine.value)), frames.INFINITE.get(name, "∞"))
-            set_range(ax, "y", [*parts.part, 1.0])
+            set_range(ax, "y", [*parts.part, 1.0], is_positive(parts.part))
             ax.set_xlabel(frames.label(name, frames.titles(result, whole)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for observer, style in look.items():

@@ -178,6 +178,7 @@ def _lay_out(
     figure.set_size_inches(width, tall * paper.em + height * len(grid))
     figure.draw_without_rendering()
     for ax in axes:
+        _keep_inside(ax)
         _thin_out(ax, "x")
         _thin_out(ax, "y")
     figure.set_layout_engine("none")  # laid out once, for all files
@@ -190,6 +191,15 @@ def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
         if sum(part.max() + 3.8 * paper.em for part in parts) <= width:
             return columns
     return 1
+
+
+def _keep_inside(ax: Axes) -> None:
+    """Move the label of the x axis into the figure: beside narrow axes, its centre is not theirs."""
+    label, figure = ax.xaxis.label, ax.get_figure(root=True)
+    box = label.get_window_extent()
+    gap = 0.05 * figure.dpi
+    by = max(gap - box.x0, 0.0) - max(box.x1 + gap - figure.bbox.width, 0.0)
+    label.set_x(label.get_position()[0] + by / ax.bbox.width)
 
 
 def _thin_out(ax: Axes, side: str) -> None:

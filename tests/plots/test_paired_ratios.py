@@ -142,3 +142,14 @@ def test_without_ratio_there_is_no_figure():
         assert ratios_of(result) is None
         with pytest.raises(UserError, match="expected two observers"):
             plots.ratios(result)
+
+
+def test_label_below_narrow_axes_stays_in_the_figure():
+    """The name of the best was cut off at the right of reports, as the axes lie left of the p-values."""
+    best = "kf-with-a-name-of-many-letters"
+    result = pcbench.run(STUDY | {"observers": [best, "pccebo"], "options": {best: {}}, "seeds": 3})
+    figure = plots.ratios(result)
+    (ax,) = figure.axes
+    assert best in ax.get_xlabel()
+    box = ax.xaxis.label.get_window_extent()
+    assert 0 < box.x0 < box.x1 < figure.bbox.width

@@ -92,6 +92,7 @@ def faults(picture, result, seeds):
         "exact": not result.exact
         or picture.name.endswith(OF_ONE_RUN)
         or not re.search(TESTED, re.sub("pooled over runs|of one run", "", words)),
+        "ratios": not picture.name.endswith("-bearing") or {ax.get_yscale() for ax in figure.axes} == {"log"},
         "infinity": "student_t_dof" not in result.study.axes or "∞" not in shown,
         "runs or seed": picture.name == "fair" or re.search(r"\bruns\b|seed \d|exact values", title),
         "number of runs": {int(n.replace(",", "")) for n in re.findall(r"(\d[\d,]*) runs", words)}
