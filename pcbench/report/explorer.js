@@ -324,7 +324,7 @@ function verdict(p) { // significance, or consistency
   if (p.verdict === 2) return "diverges significantly more often";
   const size = finite(p.p) ? p.p < 0.001 ? ", p < 0.001" : `, p = ${number(p.p, 2)}` : "";
   if (p.verdict === 1) return size ? `significantly worse${size}` : exact(p) ? "worse (exact)" : "worse (no noise)";
-  return size ? `not significantly worse${size}` : Math.abs((p.ratio ?? 0) - 1) < 1e-9 ? "equal" : "not tested";
+  return size ? `not significantly worse${size}` : (p.ratio ? Math.abs(p.ratio - 1) < 1e-9 : p.value === 0) ? "equal" : "not tested";
 }
 
 function where(p) { // the grid point in words

@@ -387,6 +387,27 @@ def test_long_names_of_rows_are_whole(browser, report):
 
 
 @needs_browser
+def test_two_errors_of_zero_are_equal(browser, report):
+    """They have no ratio, and "not tested" contradicted the tables."""
+    visit(browser, report.as_uri())
+    said = {}
+    for ratio, value in ((1, 0.2), (1.5, 0.3), ("null", 0), ("null", 0.3)):
+        point = f"{{best: {{}}, isBest: false, verdict: 0, p: null, ratio: {ratio}, value: {value}}}"
+        said[ratio, value] = ask(browser, f"verdict({point})")
+    assert [pair for pair, words in said.items() if words == "equal"] == [(1, 0.2), ("null", 0)]
+
+
+@needs_browser
+def test_text_below_figures_keeps_a_distance(browser, report):
+    """In dark mode the text touched the white edge of a single figure."""
+    visit(browser, report.as_uri())
+    script = """(() => { const box = document.querySelector('#summary .pictures'), [first, ...others] = box.children;
+        others.forEach(each => each.remove()); box.classList.remove('columns');
+        return box.nextElementSibling.getBoundingClientRect().top - first.getBoundingClientRect().bottom; })()"""
+    assert ask(browser, script) > 8
+
+
+@needs_browser
 def test_two_figures_stand_side_by_side_on_paper(browser, report):
     """Of figures that did not fit side by side, each had a page of its own."""
     size = {
