@@ -194,11 +194,11 @@ def _legend_columns(widths: list[float], width: float, paper: Paper) -> int:
 
 
 def _keep_inside(ax: Axes) -> None:
-    """Move the label of the x axis into the figure: beside narrow axes, its centre is not theirs."""
-    label, figure = ax.xaxis.label, ax.get_figure(root=True)
+    """Move the label of the x axis into the figure, which it leaves if it is longer than its axes."""
+    label = ax.xaxis.label
     box = label.get_window_extent()
-    gap = 0.05 * figure.dpi
-    by = max(gap - box.x0, 0.0) - max(box.x1 + gap - figure.bbox.width, 0.0)
+    gap = 0.05 * ax.figure.dpi
+    by = max(gap - box.x0, 0.0) - max(box.x1 + gap - ax.figure.bbox.width, 0.0)
     label.set_x(label.get_position()[0] + by / ax.bbox.width)
 
 

@@ -45,7 +45,7 @@ POLICY = (  # figures have styles of their own, and the icon is an empty picture
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
 )
 SVG, STYLE = re.compile(r"<svg.*?</svg>", re.S), re.compile(r' style="([^"]*)"')
-LOOP = "the same of the set point minus the state of the closed loop, which is small where the loop settles"
+LOOP = "square root of the mean of (set point - state)^2 from steady_start on, small where the closed loop settles"
 ALWAYS = ("rmse", "steady_rmse", "rms_efficiency", summary.LOOP, "divergence_rate")
 
 
@@ -106,7 +106,8 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     whole = sorted(figures.of_study(result, shown), key=lambda p: p.figure.get_figwidth() > BROAD * shown.paper.width)
     head = [*([first] if first else []), *map(inline_picture, whole)]
     narrow = len(head) > TWO and all(p.figure.get_figwidth() <= BROAD * shown.paper.width for p in whole)
-    meaning = {m: MEANING.get(m, explorer.OF_STATS.get(m, "")) for m in (shown.metric, *ALWAYS)}
+    described = MEANING | explorer.OF_STATS | {summary.LOOP: LOOP}
+    meaning = {m: described.get(m, "") for m in (shown.metric, *ALWAYS)}
     present = {shown.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
     made = f"# made with pcbench {release.get('pcbench', '')}"
