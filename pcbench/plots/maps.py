@@ -54,7 +54,12 @@ class Side(NamedTuple):
 
     title: str
     values: list[Any]
-    words: list[str]
+    infinite: str = "∞"
+
+    @property
+    def words(self) -> list[str]:
+        """Return the values in words."""
+        return [layout.word(value, self.infinite) for value in self.values]
 
 
 Cells = Mapping[tuple[Hashable, Hashable], Cell]  # by the values of both axes
@@ -187,8 +192,7 @@ def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> C
 def _side(result: Result, part: pd.DataFrame, axis: str) -> Side:
     values = list(dict.fromkeys(part[axis]))
     ordered = sorted(values) if all(isinstance(v, int | float) for v in values) else values
-    words = [frames.word(axis, value) for value in ordered]
-    return Side(frames.label(axis, frames.titles(result, part)), ordered, words)
+    return Side(frames.label(axis, frames.titles(result, part)), ordered, frames.INFINITE.get(axis, "∞"))
 
 
 def _norm(values: pd.Series) -> Normalize:
@@ -261,12 +265,13 @@ def is_fine(x: Side, y: Side) -> bool:
 def _fill(ax: Axes, cells: Cells, x: Side, y: Side, fine: bool) -> None:
     """Colour the cells: as one image, or each as a rectangle with its tip."""
     image = np.ones((len(y.values), len(x.values), 3))
+    across, up = x.words, y.words
     for (a, b), cell in cells.items():
         i, j = x.values.index(a), y.values.index(b)
         image[j, i] = to_rgb(cell.colour)
         if not fine:
             patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor="#FFFFFF", linewidth=0.8)
-            patch.set_gid(f"tip:{cell.tip}, {x.title} {x.words[i]}, {y.title} {y.words[j]}")
+            patch.set_gid(f"tip:{cell.tip}, {x.title} {across[i]}, {y.title} {up[j]}")
             ax.add_patch(patch)
     if fine:
         ax.imshow(image, origin="lower", aspect="auto", interpolation="nearest", zorder=0.5)
