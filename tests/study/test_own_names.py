@@ -212,7 +212,7 @@ BROKEN = {
     "a command too long": ("return -params.kp * estimate[:1] - kept, kept", "return -params.kp * estimate - kept, kept",
                            "controller law: command returned shape (2,) of float64, expected (1,)"),
     "no pair": ("return -params.kp * estimate[:1] - kept, kept", "return -params.kp * estimate[:1]",
-                "command returned no pair, expected (command, what is kept)"),
+                "command returned no pair, expected (command, memory)"),
     "it keeps more": ("- kept, kept", "- kept, (kept, kept)", "expected what start returns, shape (1,) of float64"),
     "a set point too long": ("jnp.zeros(2)", "jnp.zeros(3)", "target returned shape (3,), expected the set point"),
     "python if": ("    kept = kept +", "    if estimate[0] > 0: return 0, 0\n    kept = kept +", "command cannot be traced"),
