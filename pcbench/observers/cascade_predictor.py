@@ -125,38 +125,38 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Divide the delay, place the poles of each link, and certify the error maps."""
     where, period, delay = (
-        f"cascade-predictor in {setting.scenario}",
-        one_clock(setting, "cascade-predictor"),
-        setting.delay[0],
+        f"cascade-predictor in {context.scenario}",
+        one_clock(context, "cascade-predictor"),
+        context.delay[0],
     )
     if options.links is not None and options.links > max(delay, 1):
         raise UserError(
             f"{where}: got links = {options.links}, expected at most {max(delay, 1)}, one per tick of the delay; give fewer."
         )
-    if setting.sensor is not None or setting.residual is not None:
+    if context.sensor is not None or context.residual is not None:
         raise UserError(f"{where}: got a nonlinear output, expected one that is linear in the state; use ekf.")
-    Phi, Gamma = linear.one_tick(setting.model, setting.dt)
-    is_nonlinear = setting.field is not None or setting.successor is not None
-    decay = None if options.omega is None else exp(-options.omega * setting.dt)
-    links, certificate = cascade.design(Phi, setting.model.C, delay, period, options.links, decay, where)
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
+    is_nonlinear = context.field is not None or context.successor is not None
+    decay = None if options.omega is None else exp(-options.omega * context.dt)
+    links, certificate = cascade.design(Phi, context.model.C, delay, period, options.links, decay, where)
     d = np.array(links.d)
     gains = Gains(
         Phi=Phi,
         Gamma=Gamma,
-        C=setting.model.C,
-        D=setting.model.feedthrough,
+        C=context.model.C,
+        D=context.model.feedthrough,
         K=links.K,
         d=d,
         lag=delay - np.cumsum(d),
         delay=np.asarray(delay),
-        room=np.zeros(power_of_2(max(setting.reach * period, int(d.max())))),  # one size for all delays of a study
-        motion=nonlinear_model.motion_of(setting)[0] if is_nonlinear else None,
-        unknowns=np.array(setting.unknown0, float) if is_nonlinear else np.zeros(0),
+        room=np.zeros(power_of_2(max(context.reach * period, int(d.max())))),  # one size for all delays of a study
+        motion=nonlinear_model.motion_of(context)[0] if is_nonlinear else None,
+        unknowns=np.array(context.unknown0, float) if is_nonlinear else np.zeros(0),
     )
     if is_nonlinear:
-        why = "the plant is nonlinear; the maps are of its linear model"
-        return Design(gains, no_certificate(why)._replace(numbers=certificate.numbers))
-    return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * setting.dt)))
+        reason = "the plant is nonlinear; the maps are of its linear model"
+        return Design(gains, no_certificate(reason)._replace(numbers=certificate.numbers))
+    return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * context.dt)))

@@ -94,9 +94,9 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at xhat(0), before the first sample."""
     (q, n), room = gains.model.C.shape, gains.room
     arrived = (ring(room, jnp.zeros(())),) * q
-    known = (ring(room, jnp.asarray(False)),) * q
+    has_arrived = (ring(room, jnp.asarray(False)),) * q
     past = ring(room, jnp.zeros(n))
-    return Memory(sample_rate.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
+    return Memory(sample_rate.start(xhat0), past, arrived, has_arrived, jnp.zeros(q), jnp.zeros(q, bool))
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
@@ -130,8 +130,8 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
     sample, new = memory.run.sample - age, age == gains.tau[j]
-    known = jnp.where(new, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
-    return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
+    has_arrived = jnp.where(new, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
+    return jnp.where(has_arrived, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -141,12 +141,12 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
         past = write(past, k - stamp[i], estimate, due & (source[i] > stamp[i]))
-    each = range(len(memory.arrived))
+    channels = range(len(memory.arrived))
     return Memory(
         run,
         past,
-        tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in each),
-        tuple(write(memory.known[j], k - gains.tau[j], memory.mask[j], due) for j in each),
+        tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in channels),
+        tuple(write(memory.known[j], k - gains.tau[j], memory.mask[j], due) for j in channels),
         memory.value,
         memory.mask & ~due,
     )
@@ -160,24 +160,24 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the gains of all links, with a certified map of one sample; raise UserError without a delay."""
-    where, plant = f"chain in {setting.scenario}", sample_plant(setting, "chain", options.q)
+    where, plant = f"chain in {context.scenario}", sample_plant(context, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
             f"{where}: got an assumed delay of 0 in every channel, expected one above 0: without delays there is nothing "
             "to chain; take kf or pccebo."
         )
-    each_tick = options.pole_per_tick is not None
+    per_sample = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
-    designed = chain.links(plant, options.gain, pole, each_tick, options.output, where)
-    certificate = require_certified(chain.certify(designed, plant.C, options.gain), where)
-    certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
+    link_list = chain.links(plant, options.gain, pole, per_sample, options.output, where)
+    certificate = require_certified(chain.certify(link_list, plant.C, options.gain), where)
+    certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * context.dt))
     if options.shared:
-        extra = chain.check(designed, plant.scale)
+        extra = chain.check(link_list, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
-    latest_first, theta = designed[::-1], np.array(chain.ages(plant.tau)[::-1])
-    stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
-    each = Links(stamp=theta[1:], source=theta[:-1], **stacked)
-    room = np.zeros(max(setting.reach, *plant.tau))
-    return Design(Gains(sample_rate.model_of(setting), np.array(plant.tau), each, room), certificate)
+    latest_first, theta = link_list[::-1], np.array(chain.ages(plant.tau)[::-1])
+    matrices = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
+    links = Links(stamp=theta[1:], source=theta[:-1], **matrices)
+    room = np.zeros(max(context.reach, *plant.tau))
+    return Design(Gains(sample_rate.model_of(context), np.array(plant.tau), links, room), certificate)

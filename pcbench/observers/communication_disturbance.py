@@ -96,13 +96,13 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 OBSERVER = Observer(init, snapshot, jump, flow, xhat)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Place the poles at the mean period.
 
     Raises UserError if the plant is not a chain of integrators from its input to its output, or is unstable.
     """
-    period, where = one_clock(setting, "cdob"), f"cdob in {setting.scenario}"
-    model = setting.model._replace(E=None)
+    period, where = one_clock(context, "cdob"), f"cdob in {context.scenario}"
+    model = context.model._replace(E=None)
     bandwidth.chain_of(model, where)
     fastest = float(np.max(np.linalg.eigvals(model.A).real))
     if fastest > GROWTH:
@@ -110,11 +110,11 @@ def design(setting: DesignContext, options: Options) -> Design:
             f"{where}: got a plant with a mode that grows by {fastest:.3g} 1/s, expected a stable plant or a chain of "
             "integrators, as an error of the start would grow too; take kf."
         )
-    seconds = period * setting.dt
+    seconds = period * context.dt
     Phi, push = linear.discretize_zoh(model.A, model.B, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
     n = len(Phi)
-    augmented, C = np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
-    L = bandwidth.current_gain(augmented, C, pole, pole, where)
-    Phi, Gamma = linear.one_tick(model, setting.dt)
+    joint_map, C = np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
+    L = bandwidth.current_gain(joint_map, C, pole, pole, where)
+    Phi, Gamma = linear.one_tick(model, context.dt)
     return Design(Gains(Phi, Gamma, model.C, L[:n], L[n:]), no_certificate("it ignores delays"))

@@ -31,7 +31,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
-from pcbench.observers.parts.common import no_snapshot, whole_if_large
+from pcbench.observers.parts.common import no_snapshot, vmap_large_as_unit
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
@@ -75,38 +75,38 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
     z, P = predict_joint(gains, now, before, sample.taken)
     if gains.sensor is not None:
-        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
-        return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, left_out)
-    value, left_out, R = value_of(gains, sample.value), [], sample.variances(gains.R)
+        z, P, rejections = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
+        return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
+    value, rejections, R = value_of(gains, sample.value), [], sample.variances(gains.R)
     n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
-        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
-        K = kalman.gain(Pc, c @ Pc[:n] + r, used)
+        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
+        K = kalman.gain(Pc, c @ Pc[:n] + r, is_used)
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
-        left_out.append(out)
-    return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, left_out)
+        rejections.append(out)
+    return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
 
 
 def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
     """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
-    z = predicted = before.mean
-    P, left_out, R = before.P, [], sample.variances(gains.R)
+    z = prior = before.mean
+    P, rejections, R = before.P, [], sample.variances(gains.R)
     y, C = linearize_sensor(gains, there, z[: gains.P0.shape[0]])
     C, value = kalman.wide(C, z.shape[0]), nearest(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], R[channel]
         Pc = P @ c
-        nu = value[channel] - y[channel] - c @ (z - predicted)
-        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
-        K = kalman.gain(Pc, c @ Pc + r, used)
+        nu = value[channel] - y[channel] - c @ (z - prior)
+        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
+        K = kalman.gain(Pc, c @ Pc + r, is_used)
         z = z + K * nu
         P = kalman.covariance(P, K, c, r)
-        left_out.append(out)
-    return z, P, left_out
+        rejections.append(out)
+    return z, P, rejections
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -158,39 +158,39 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = predict_joint(gains, now, first, sample.taken)
-    (y, C), predicted = linearize_output(gains, at(now, sample.taken), z), z
+    (y, C), prior = linearize_output(gains, at(now, sample.taken), z), z
     value, total, R = nearest(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
         c, r = C[channel], R[channel]
-        nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r
+        nu, s = value[channel] - y[channel] - c @ (z - prior), c @ P @ c + r
         total = kalman.add_innovation(total, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])
         z, P = z + K * nu, kalman.covariance(P, K, c, r)
     return total
 
 
-def _whole(f: Callable[..., Any]) -> Callable[..., Any]:
+def _vmap_large(f: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of the filter, vectorized as a unit if the covariance is large."""
 
     @wraps(f)
-    def called(gains: Gains, memory: Memory, now: Now, *arrival: Arrival) -> Any:
-        return whole_if_large(gains.P0, lambda memory, *arrival: f(gains, memory, now, *arrival))(memory, *arrival)
+    def wrapper(gains: Gains, memory: Memory, now: Now, *arrival: Arrival) -> Any:
+        return vmap_large_as_unit(gains.P0, lambda memory, *arrival: f(gains, memory, now, *arrival))(memory, *arrival)
 
-    return called
+    return wrapper
 
 
 OBSERVER = Observer(
     init,
     no_snapshot,
-    _whole(jump),
-    _whole(flow),
+    _vmap_large(jump),
+    _vmap_large(flow),
     estimate,
-    covariance=_whole(covariance),
-    innovation=_whole(innovation),
+    covariance=_vmap_large(covariance),
+    innovation=_vmap_large(innovation),
 )
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; a nonlinear model has no certificate."""
     guard = robust_update.of(options.gate, options.gate_opens, options.huber)
-    return nonlinear_model.design(setting, options, "ekf", guard=guard)
+    return nonlinear_model.design(context, options, "ekf", guard=guard)

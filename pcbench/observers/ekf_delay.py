@@ -66,11 +66,11 @@ def joint(gains: Gains) -> tuple[Array, Array, Array]:
     """Return Phi, Gamma and Q of state and delay; the delay is a random walk."""
     n, m = gains.Gamma.shape
 
-    def extended(A: Leaf, last: Leaf) -> Array:
+    def extend(A: Leaf, last: Leaf) -> Array:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])
-    return extended(gains.Phi, 1.0), Gamma, extended(gains.Q, gains.own)
+    return extend(gains.Phi, 1.0), Gamma, extend(gains.Q, gains.own)
 
 
 class SamplePrediction(NamedTuple):
@@ -102,8 +102,8 @@ def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) 
     z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.at, base)
     place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
     first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
-    part, seen = place - first, predict_sample(gains, now, z[:n], base, first)
-    (xa, Fa), (xb, Fb) = seen.before, seen.after
+    part, prior = place - first, predict_sample(gains, now, z[:n], base, first)
+    (xa, Fa), (xb, Fb) = prior.before, prior.after
     H = jnp.concatenate([gains.C @ ((1 - part) * Fa + part * Fb), -(gains.C @ (xb - xa) / gains.dt)[:, None]], 1)
     y, start = gains.C @ ((1 - part) * xa + part * xb), z
     for channel in range(gains.C.shape[0]):
@@ -112,7 +112,7 @@ def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) 
         K = kalman.gain(P @ c, c @ P @ c + r, mask)
         z, P = z + jnp.where(mask, K * nu, 0.0), kalman.covariance(P, K, c, r)
     z = z.at[n].set(jnp.clip(z[n], 0.0, gains.longest * gains.dt))
-    return Memory(z, P, base, seen.x + seen.F @ (z[:n] - start[:n]))
+    return Memory(z, P, base, prior.x + prior.F @ (z[:n] - start[:n]))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -141,15 +141,15 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
     """Return mean and standard deviation of the delay [s]; the mean is constant between samples."""
-    walked = gains.own * (now.tick - memory.at)
-    return jnp.stack([memory.z[-1], jnp.sqrt(memory.P[-1, -1] + walked)])
+    walk_variance = gains.own * (now.tick - memory.at)
+    return jnp.stack([memory.z[-1], jnp.sqrt(memory.P[-1, -1] + walk_variance)])
 
 
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, delay=delay)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; with the delay as a state the filter is nonlinear, so it has no certificate."""
-    gains = unknown_delay.design(setting, options, "ekf-delay")
-    walk = np.asarray(options.delay_walk * setting.dt)
+    gains = unknown_delay.design(context, options, "ekf-delay")
+    walk = np.asarray(options.delay_walk * context.dt)
     return Design(gains._replace(own=walk), no_certificate("the delay is a state, so the filter is nonlinear"))

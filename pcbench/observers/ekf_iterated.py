@@ -59,7 +59,7 @@ def innovation_at_mean(gains: Gains, now: Now, state: State, sample: Measurement
 OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_at_mean))
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; a nonlinear model has no certificate."""
-    own = np.zeros(options.iterations)  # its length is the number of iterations (`protocols.Room`)
-    return nonlinear_model.design(setting, options, "ekf-iterated", lambda gains: own)
+    iterations = np.zeros(options.iterations)  # its length is the number of iterations (`protocols.Room`)
+    return nonlinear_model.design(context, options, "ekf-iterated", lambda gains: iterations)

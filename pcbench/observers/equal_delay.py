@@ -42,14 +42,14 @@ class Options(StrictOptions):
     pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: pole of the error over the delay")
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Design for the assumed delay, and certify the gain for that delay only; delays other than d act as a disturbance."""
-    where, plant = f"equal-delay in {setting.scenario}", sample_plant(setting, "equal-delay")
+    where, plant = f"equal-delay in {context.scenario}", sample_plant(context, "equal-delay")
     d, A = options.delay or max(min(plant.tau), 1), plant.A
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
         rate = chain.radius(Ad - K @ plant.C) ** (1 / d)
-        gains = assumed_age.gains_of(setting, Ad, K, (d,) * len(plant.tau), back=d)
+        gains = assumed_age.gains_of(context, Ad, K, (d,) * len(plant.tau), back=d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
         rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))
@@ -58,9 +58,11 @@ def design(setting: DesignContext, options: Options) -> Design:
                 f"{where}: got an assumed delay of {d} samples for {len(A)} states, expected at most "
                 f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
-        gains = assumed_age.gains_of(setting, A, K, (d,) * len(plant.tau))
-    what = f"radius of the errors' map < 1, if every delay were {d} samples"
-    certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
+        gains = assumed_age.gains_of(context, A, K, (d,) * len(plant.tau))
+    inequality = f"radius of the errors' map < 1, if every delay were {d} samples"
+    certificate = Certificate(
+        inequality, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d}
+    )
     if set(plant.tau) == {d}:  # otherwise the true delays act as a disturbance, and the rate is not certified
-        certificate = certificate._replace(rate=rate_of(rate, plant.period * setting.dt))
+        certificate = certificate._replace(rate=rate_of(rate, plant.period * context.dt))
     return Design(gains, require_certified(certificate, where))

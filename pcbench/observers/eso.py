@@ -85,36 +85,36 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
     return memory.xhat[: gains.signals.shape[0]]
 
 
-jump = prediction.jumping(correct, lambda point: point)
+jump = prediction.make_jump(correct, lambda point: point)
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, estimate)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Place the poles at the mean period, and certify them; raise UserError if the plant is not a chain of integrators."""
-    period, where, model = one_clock(setting, "eso"), f"eso in {setting.scenario}", setting.model
+    period, where, model = one_clock(context, "eso"), f"eso in {context.scenario}", context.model
     chain = bandwidth.chain_of(model, where)
-    n, seconds = len(model.A), period * setting.dt
+    n, seconds = len(model.A), period * context.dt
     row = chain.row / chain.b * (options.model == "chain")
     E = chain.G  # A - E row is a chain of integrators: C (A - E row)^n = 0
-    augmented = linear.with_unknown_input(model._replace(A=model.A - E @ row, E=E))
+    joint_model = linear.with_unknown_input(model._replace(A=model.A - E @ row, E=E))
     Phi, push = linear.discretize_zoh(model.A - E @ row, E, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
-    L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), augmented.C, pole, pole, where)
-    prior = np.where(np.diag(setting.P0) > 0, np.diag(setting.P0), 1.0)
+    L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), joint_model.C, pole, pole, where)
+    prior = np.where(np.diag(context.P0) > 0, np.diag(context.P0), 1.0)
     # variance of d that changes x by the prior's standard deviation in a period
     size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))
-    wider = setting._replace(model=augmented, P0=block_diag(setting.P0, [[size]]), process_std=())
-    L, certificate = current_gains.find(wider, "given", L, 0.0, None, None, where)
+    joint_context = context._replace(model=joint_model, P0=block_diag(context.P0, [[size]]), process_std=())
+    L, certificate = current_gains.find(joint_context, "given", L, 0.0, None, None, where)
     certificate = certificate._replace(inequality="[P, M'; M, P] > 0, M = P (I - L C) Phi, of state and disturbance")
-    known = setting.unknown0 if model.E is not None else ()
+    unknown0 = context.unknown0 if model.E is not None else ()
     gains = Gains(
-        motion=prediction.motion_of(augmented, setting),
-        C=augmented.C,
+        motion=prediction.motion_of(joint_model, context),
+        C=joint_model.C,
         D=model.feedthrough,
         L=L,
         start=np.vstack([np.eye(n), row]),
-        d0=np.append(np.zeros(n), known or 0.0),
-        signals=np.zeros(n + len(known)),
-        room=setting.room,
+        d0=np.append(np.zeros(n), unknown0 or 0.0),
+        signals=np.zeros(n + len(unknown0)),
+        room=context.room,
     )
-    return Design(gains, certificate, True if known else None)
+    return Design(gains, certificate, True if unknown0 else None)

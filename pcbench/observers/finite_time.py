@@ -86,36 +86,36 @@ def correct(gains: Gains, before: Pair, sample: Measurement) -> Pair:
     innovation = jnp.where(sample.mask[:, None], innovation, 0.0)
     z = z + jnp.stack([gains.L[i] @ innovation[:, i] for i in range(2)], axis=1)
     old = before.past[-1]
-    combined = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (old[:, 0] - old[:, 1])
-    free = jnp.where(before.used >= before.past.shape[0], combined, z[:, 0])
+    combination = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (old[:, 0] - old[:, 1])
+    free = jnp.where(before.used >= before.past.shape[0], combination, z[:, 0])
     past = jnp.concatenate([z[None], before.past[:-1]])
     return select_memory(sample.mask, Pair(z, free, sample.taken, past, before.used + 1), before)
 
 
-jump = prediction.jumping(correct, lambda pair: Point(pair.free, pair.taken))
+jump = prediction.make_jump(correct, lambda pair: Point(pair.free, pair.taken))
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Place the poles at the mean period, combine the estimators, and certify them."""
-    period, where, model = one_clock(setting, "finite-time"), f"finite-time in {setting.scenario}", setting.model
+    period, where, model = one_clock(context, "finite-time"), f"finite-time in {context.scenario}", context.model
     n, q = model.C.shape[1], len(model.C)
     N = 2 * n if options.samples is None else options.samples
     if N * q < n:
         raise UserError(
             f"{where}: got samples = {N}, expected at least {-(-n // q)} for {n} states and {q} outputs; give more."
         )
-    doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
+    binary_maps = linear.doublings(model, context.dt, linear.bits_for(period))
     matrices, certificate = finite_time.design(
-        linear.over(doubled, period), model.C, options.pole, options.ratio, N, where
+        linear.over(binary_maps, period), model.C, options.pole, options.ratio, N, where
     )
     require_certified(certificate, where)
     gains = Gains(
-        motion=prediction.motion_of(model, setting),
+        motion=prediction.motion_of(model, context),
         C=model.C,
         D=model.feedthrough,
         **matrices._asdict(),
         window=np.zeros(N),
-        room=setting.room,
+        room=context.room,
     )
-    return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * setting.dt)))
+    return Design(gains, certificate._replace(rate=rate_of(1 - certificate.margin, period * context.dt)))

@@ -104,7 +104,7 @@ def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memo
     d, th = memory.al.shape[0], gains.theta
     z1, z2, z3 = memory.z[:d], memory.z[d : 2 * d], memory.z[2 * d :]
     a, phi = gains.parts(now.u, jnp.concatenate([z1, jnp.clip(z2, -gains.fastest, gains.fastest)]))
-    k1, k2, k3 = (th * each * g for each in column(memory.S))
+    k1, k2, k3 = (th * column_entry * g for column_entry in column(memory.S))
     z = jnp.concatenate([z2 - k1, a * jnp.clip(z3, gains.low, gains.high) + phi - th * k2, -(th**2) * k3])
     s11, s12, s13, s22, s23, s33 = memory.S
     S = th * jnp.stack(
@@ -122,11 +122,11 @@ def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memo
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick, with c and u held."""
-    moved = rk4(lambda t, m: rates(gains, memory._replace(z=m[0], al=m[1], S=m[2]), now, m[1] + memory.c)[:3],
+    state = rk4(lambda t, m: rates(gains, memory._replace(z=m[0], al=m[1], S=m[2]), now, m[1] + memory.c)[:3],
                 now.t, tuple(memory[:3]), now.dt)  # fmt: skip
-    z, d = moved[0], memory.al.shape[0]
+    z, d = state[0], memory.al.shape[0]
     z = jnp.concatenate([z[: 2 * d], jnp.clip(z[2 * d :], gains.low, gains.high)])
-    return memory._replace(z=z, al=moved[1], S=moved[2])
+    return memory._replace(z=z, al=state[1], S=state[2])
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3*d"]:
@@ -137,23 +137,23 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3*d"]:
 OBSERVER = Observer(init, snapshot, jump, flow, estimate)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the parameters; the certificate reports the distance from the linear limit of the sampling period."""
-    if setting.parts is None:
+    if context.parts is None:
         raise UserError(
-            f"high-gain in {setting.scenario}: got a plant that is not a chain of positions, rates and parameters, expected "
+            f"high-gain in {context.scenario}: got a plant that is not a chain of positions, rates and parameters, expected "
             "the helicopter; take ekf, or an observer for linear plants."
         )
-    low, high = np.array(setting.unknown_range).T
+    low, high = np.array(context.unknown_range).T
     free = np.full_like(low, np.inf)
     robust = options.robust
     gains = Gains(
-        parts=setting.parts,
+        parts=context.parts,
         theta=np.asarray(options.theta),
         rho=np.asarray(options.rho if robust else 0.0),
         fastest=np.asarray(FASTEST if robust else np.inf),
         low=low if robust else -free,
         high=high if robust else free,
-        start=np.array(setting.unknown0),
+        start=np.array(context.unknown0),
     )
-    return Design(gains, sampled_high_gain.certificate(options.theta, max(setting.period) * setting.dt))
+    return Design(gains, sampled_high_gain.certificate(options.theta, max(context.period) * context.dt))

@@ -40,24 +40,24 @@ class Options(StrictOptions):
     )
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Place the eigenvalues; the certificate is the spectral radius over a constant period."""
-    model, where = setting.model, f"high-gain-predictor in {setting.scenario}"
-    held_innovation.require_continuous(setting, where)
+    model, where = context.model, f"high-gain-predictor in {context.scenario}"
+    held_innovation.require_continuous(context, where)
     if len(model.C) > 1:
         raise UserError(f"{where}: got {len(model.C)} outputs, expected one; use lmi-sampled or kf.")
     require_observable(model, where)
     theta = options.theta or max(SLOWEST, float(-np.linalg.eigvals(model.A).real.min()))
     L = binomial_gain(model.A, model.C, theta)
-    gains = held_innovation.gains_of(setting, L, model.C @ L)
-    intervals = setting.intervals or setting.period
-    period = max(intervals) * setting.dt
+    gains = held_innovation.gains_of(context, L, model.C @ L)
+    intervals = context.intervals or context.period
+    period = max(intervals) * context.dt
     radius = spectral_radius(predictor_map(model.A, L, model.C, period))
     numbers = {"L": L, "theta": theta, "theta_Ts": theta * period, "radius": radius}
     reason = ""
-    if setting.field is not None:
+    if context.field is not None:
         reason = "the plant is nonlinear; the radius is of its linear model"
-    elif any(setting.delay):
+    elif any(context.delay):
         reason = "the measurements are delayed; the radius is without delay"
     elif len(set(intervals)) > 1:
         reason = "the intervals vary; the radius is of the longest"
@@ -65,13 +65,13 @@ def design(setting: DesignContext, options: Options) -> Design:
         reason = "the spectral radius is not below 1"
     if reason:
         return Design(gains, no_certificate(reason)._replace(numbers=numbers))
-    what = "the spectral radius of the error's map over a constant period is below 1"
-    return Design(gains, Certificate(what, 1 - radius, "poles", "computed", numbers, rate_of(radius, period)))
+    inequality = "the spectral radius of the error's map over a constant period is below 1"
+    return Design(gains, Certificate(inequality, 1 - radius, "poles", "computed", numbers, rate_of(radius, period)))
 
 
 def binomial_gain(A: Matrix, C: Matrix, theta: float) -> Matrix:
     """Return L [n, 1] with all eigenvalues of A - L C at -theta, by Ackermann's formula in units of theta."""
-    n, scaled = len(A), A / theta
-    observability = np.vstack([C @ np.linalg.matrix_power(scaled, i) for i in range(n)])
-    polynomial = np.linalg.matrix_power(scaled + np.eye(n), n)
+    n, M = len(A), A / theta
+    observability = np.vstack([C @ np.linalg.matrix_power(M, i) for i in range(n)])
+    polynomial = np.linalg.matrix_power(M + np.eye(n), n)
     return np.asarray(theta * polynomial @ np.linalg.solve(observability, np.eye(n)[:, -1:]))

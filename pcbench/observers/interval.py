@@ -108,8 +108,8 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return r at a tick at or after the sample."""
     s = tick - ball.taken
-    known = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
-    return known + jnp.take(gains.noise, s, axis=0, mode="clip")
+    spread = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
+    return spread + jnp.take(gains.noise, s, axis=0, mode="clip")
 
 
 def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
@@ -117,8 +117,8 @@ def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
     free = prediction.at(gains.motion, Point(before.free, before.taken), sample.taken)
     L = jnp.where(sample.mask[None], gains.L, 0.0)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
-    kept = (gains.V - L @ (gains.C @ gains.V)) * radius(gains, before, sample.taken)[None]
-    return Ball(free + L @ innovation, sample.taken, jnp.concatenate([kept, L * gains.vmax[None]], axis=1))
+    columns = (gains.V - L @ (gains.C @ gains.V)) * radius(gains, before, sample.taken)[None]
+    return Ball(free + L @ innovation, sample.taken, jnp.concatenate([columns, L * gains.vmax[None]], axis=1))
 
 
 def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -129,23 +129,23 @@ def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Arra
     return memory.xhat - half, memory.xhat + half
 
 
-jump = prediction.jumping(correct, lambda ball: Point(ball.free, ball.taken))
+jump = prediction.make_jump(correct, lambda ball: Point(ball.free, ball.taken))
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat, bounds=bounds)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Place the poles at the mean period, find the modes, and certify that r is bounded.
 
     Raises UserError for a plant with an unknown input or a bound of the wrong length, and DesignError for a gain without
     certificate.
     """
-    period, where, model = one_clock(setting, "interval"), f"interval in {setting.scenario}", setting.model
+    period, where, model = one_clock(context, "interval"), f"interval in {context.scenario}", context.model
     if model.E is not None:
         raise UserError(
             f"{where}: got a plant with an unknown input, expected one driven by known inputs and bounded noise; take kf."
         )
-    (q, n), one = model.C.shape, linear.one_tick(model, setting.dt)[0]
-    Phi = linear.over(linear.doublings(model, setting.dt, linear.bits_for(period)), period)
+    (q, n), Phi_tick = model.C.shape, linear.one_tick(model, context.dt)[0]
+    Phi = linear.over(linear.doublings(model, context.dt, linear.bits_for(period)), period)
     if options.L is not None:
         L = matrix(options.L, (n, q), f"{where}: L", "states x outputs")
     elif options.poles is not None and len(options.poles) != n:
@@ -153,35 +153,35 @@ def design(setting: DesignContext, options: Options) -> Design:
     else:
         L = interval_observer.gain(Phi, model.C, options.pole, options.poles, where)
     modes, certificate = interval_observer.certify(Phi, model.C, L, where)
-    size, axes = np.linalg.eigh(setting.process_noise)
+    size, axes = np.linalg.eigh(context.process_noise)
     columns = options.sigmas * axes * np.sqrt(np.maximum(size, 0.0))
     if options.process_bound is not None:
         columns = np.diag(_bound(options.process_bound, size, f"{where}: process_bound", "state"))
-    std = options.sigmas * np.array(setting.noise_std)
+    std = options.sigmas * np.array(context.noise_std)
     vmax = _bound(options.noise_bound, std, f"{where}: noise_bound", "output")
-    box = options.sigmas * np.sqrt(np.diag(setting.P0))
+    box = options.sigmas * np.sqrt(np.diag(context.P0))
     box = _bound(options.initial_bound, box, f"{where}: initial_bound", "state")
-    noise = interval_observer.accumulated(one, columns, modes.back, setting.ticks)
-    width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, setting.ticks)], vmax)
+    noise = interval_observer.accumulated(Phi_tick, columns, modes.back, context.ticks)
+    width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, context.ticks)], vmax)
     gains = Gains(
-        motion=prediction.motion_of(model, setting),
+        motion=prediction.motion_of(model, context),
         C=model.C,
         D=model.feedthrough,
         **modes._asdict(),
         start=np.abs(modes.back) @ box,
         vmax=vmax,
         noise=noise,
-        room=setting.room,
+        room=context.room,
     )
     numbers = dict(certificate.numbers) | {"width_before_sample": width}
-    rate = rate_of(1 - certificate.margin, period * setting.dt)
+    rate = rate_of(1 - certificate.margin, period * context.dt)
     return Design(gains, certificate._replace(numbers=numbers, rate=rate))
 
 
-def _bound(given: list[float] | None, otherwise: Matrix, where: str, each: str) -> Matrix:
-    """Return the option `given`, one number per state or output, or `otherwise` if it is None."""
-    if given is None:
-        return otherwise
-    if len(given) != len(otherwise) or min(given) < 0:
-        raise UserError(f"{where}: got {given}, expected {len(otherwise)} numbers of at least 0, one for each {each}.")
-    return np.array(given)
+def _bound(bound: list[float] | None, default: Matrix, where: str, signal: str) -> Matrix:
+    """Return the option `bound`, one number per state or output, or `default` if it is None."""
+    if bound is None:
+        return default
+    if len(bound) != len(default) or min(bound) < 0:
+        raise UserError(f"{where}: got {bound}, expected {len(default)} numbers of at least 0, one for each {signal}.")
+    return np.array(bound)

@@ -38,8 +38,8 @@ class Options(linear_filter.Options):
     huber: float | None = robust_update.HUBER
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, certified by the covariance recursion over the horizon at the (mean) periods."""
-    guarded = robust_update.of(options.gate, options.gate_opens, options.huber)
-    why = "it rejects outliers or decreases their weight" if guarded else ""
-    return linear_filter.design(setting, options, "kf", unproven=why, guarded=guarded)
+    guard = robust_update.of(options.gate, options.gate_opens, options.huber)
+    reason = "it rejects outliers or decreases their weight" if guard else ""
+    return linear_filter.design(context, options, "kf", reason=reason, guard=guard)

@@ -69,28 +69,28 @@ def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with covariance and gains propagated to the present."""
     age, powers = now.tick - memory.at, gains.motion.powers
     J, n, q = memory.K.shape
-    side = jnp.moveaxis(memory.K, 1, 0).reshape(n, J * q)
-    K = jnp.moveaxis(after(powers, age, side).reshape(n, J, q), 0, 1)
+    columns = jnp.moveaxis(memory.K, 1, 0).reshape(n, J * q)
+    K = jnp.moveaxis(after(powers, age, columns).reshape(n, J, q), 0, 1)
     return memory._replace(P=covariance_after(powers, gains.noise, age, memory.P), K=K, at=now.tick)
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Update the covariance for the sample that is taken now, and store its gain until it arrives."""
     memory = predict_memory(gains, memory, now)
-    mine = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
-    P, L = memory.P, jnp.where(mine[:, None, None], 0.0, memory.K)
+    slot = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
+    P, L = memory.P, jnp.where(slot[:, None, None], 0.0, memory.K)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
         K = kalman.gain(P @ c, c @ P @ c + r, mask[channel])
         P = kalman.covariance(P, K, c, r)
         L = L - K[None, :, None] * jnp.einsum("n,jnq->jq", c, L)[:, None, :]
-        own = (jnp.arange(gains.C.shape[0]) == channel)[None, None, :] & mine[:, None, None]
-        L = jnp.where(own, K[None, :, None], L)
+        entry = (jnp.arange(gains.C.shape[0]) == channel)[None, None, :] & slot[:, None, None]
+        L = jnp.where(entry, K[None, :, None], L)
     return memory._replace(
         P=P,
         K=L,
-        then=jnp.where(mine[:, None], memory.xhat, memory.then),
-        taken=jnp.where(mine, now.tick, memory.taken),
+        then=jnp.where(slot[:, None], memory.xhat, memory.then),
+        taken=jnp.where(slot, now.tick, memory.taken),
         made=memory.made + jnp.any(mask),
     )
 
@@ -98,10 +98,10 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add the delayed innovations, multiplied by their propagated gains."""
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
-    mine = (memory.taken == sample.taken).astype(float)
-    expected = gains.C @ (mine @ memory.then)
+    slot = (memory.taken == sample.taken).astype(float)
+    expected = gains.C @ (slot @ memory.then)
     e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
-    K = jnp.einsum("j,jnq->nq", mine, memory.K)
+    K = jnp.einsum("j,jnq->nq", slot, memory.K)
     return memory._replace(xhat=memory.xhat + K @ e)
 
 
@@ -122,10 +122,10 @@ OBSERVER = Observer(
 )
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the samples in transit; there is no certificate."""
-    own, why = (
-        stochastic_cloning.room(setting, "kf-alexander"),
+    room, reason = (
+        stochastic_cloning.room(context, "kf-alexander"),
         "its covariance includes measurements that have not arrived",
     )
-    return linear_filter.design(setting, options, "kf-alexander", own=own, unproven=why)
+    return linear_filter.design(context, options, "kf-alexander", own=room, reason=reason)

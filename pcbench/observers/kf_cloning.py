@@ -19,6 +19,6 @@ Options = linear_filter.Options
 OBSERVER = stochastic_cloning.observer(lambda h, s, near: h / s)._replace(innovation=stochastic_cloning.innovation)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the copies."""
-    return linear_filter.design(setting, options, "kf-cloning", own=stochastic_cloning.room(setting, "kf-cloning"))
+    return linear_filter.design(context, options, "kf-cloning", own=stochastic_cloning.room(context, "kf-cloning"))

@@ -62,22 +62,22 @@ class Options(linear_filter.Options):
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with an empty buffer."""
     first = linear_filter.prior(gains, xhat0)
-    waiting = reorder_buffer.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
-    return Memory(jnp.zeros_like(first.mean), first.mean, first, waiting, jnp.asarray(0))
+    samples = reorder_buffer.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
+    return Memory(jnp.zeros_like(first.mean), first.mean, first, samples, jnp.asarray(0))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Buffer samples younger than the lag, use samples of that age, and drop older ones."""
-    sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
+    sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
     due = now.tick - gains.own.lag
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
 
-    def put(room: Array, one: Array) -> Array:
-        return jnp.where(jnp.reshape(place, (-1, *[1] * one.ndim)), one[None], room)
+    def store(room: Array, entry: Array) -> Array:
+        return jnp.where(jnp.reshape(place, (-1, *[1] * entry.ndim)), entry[None], room)
 
-    waits = memory._replace(waiting=jax.tree.map(put, memory.waiting, sample))
-    chosen = select_memory(sample.mask & (sample.taken > due), waits, memory)
-    return select_memory(sample.mask & (sample.taken == due), _apply_sample(gains, memory, now.tick, sample), chosen)
+    with_sample = memory._replace(waiting=jax.tree.map(store, memory.waiting, sample))
+    later_use = select_memory(sample.mask & (sample.taken > due), with_sample, memory)
+    return select_memory(sample.mask & (sample.taken == due), _apply_sample(gains, memory, now.tick, sample), later_use)
 
 
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
@@ -90,14 +90,14 @@ def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick, and use the samples whose age is then the lag; channels sampled together form one update."""
     memory = prediction.flow(gains, memory, now)
-    every, due = memory.waiting, memory.tick - gains.own.lag
-    which = every.mask & (every.taken == due)[:, None]
+    samples, due = memory.waiting, memory.tick - gains.own.lag
+    is_due = samples.mask & (samples.taken == due)[:, None]
     sample = Measurement(
-        due, jnp.sum(jnp.where(which, every.value, 0.0), 0), jnp.any(which, 0),
-        jnp.max(jnp.where(jnp.any(which, 1)[:, None], every.snapshot, -jnp.inf), 0),
+        due, jnp.sum(jnp.where(is_due, samples.value, 0.0), 0), jnp.any(is_due, 0),
+        jnp.max(jnp.where(jnp.any(is_due, 1)[:, None], samples.snapshot, -jnp.inf), 0),
     )  # fmt: skip
-    sample = sample._replace(snapshot=jnp.where(jnp.any(which), sample.snapshot, 0.0))
-    return select_memory(which, _apply_sample(gains, memory, memory.tick, sample), memory)
+    sample = sample._replace(snapshot=jnp.where(jnp.any(is_due), sample.snapshot, 0.0))
+    return select_memory(is_due, _apply_sample(gains, memory, memory.tick, sample), memory)
 
 
 OBSERVER = Observer(
@@ -105,16 +105,18 @@ OBSERVER = Observer(
 )
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, the lag in ticks, and room for the buffered samples."""
-    latest = max(setting.latest, *setting.delay)
-    lag = latest if options.lag is None else round(options.lag / setting.dt)
-    if lag > setting.ticks:
+    latest = max(context.latest, *context.delay)
+    lag = latest if options.lag is None else round(options.lag / context.dt)
+    if lag > context.ticks:
         raise UserError(
-            f"kf-delayed-horizon in {setting.scenario}: got a lag of {lag * setting.dt:g} s, expected at most the run's "
-            f"{setting.ticks * setting.dt:g} s; write a shorter one."
+            f"kf-delayed-horizon in {context.scenario}: got a lag of {lag * context.dt:g} s, expected at most the run's "
+            f"{context.ticks * context.dt:g} s; write a shorter one."
         )
-    room = setting.flight * max(1, -(-lag // max(latest, 1)))
-    why = "" if lag == latest else "samples are used later than necessary, or not at all"
-    own = HorizonParams(np.asarray(lag), np.zeros(room))
-    return linear_filter.design(setting, options, "kf-delayed-horizon", np.zeros(0), own, unproven=why, restarts=False)
+    room = context.flight * max(1, -(-lag // max(latest, 1)))
+    reason = "" if lag == latest else "samples are used later than necessary, or not at all"
+    params = HorizonParams(np.asarray(lag), np.zeros(room))
+    return linear_filter.design(
+        context, options, "kf-delayed-horizon", np.zeros(0), params, reason=reason, restarts=False
+    )

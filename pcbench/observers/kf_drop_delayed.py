@@ -41,10 +41,10 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, and the limit in ticks."""
-    limit = min(setting.period) if options.max_age is None else round(options.max_age / setting.dt)
-    why = "" if limit >= max(setting.delay) else "it drops delayed samples"
+    limit = min(context.period) if options.max_age is None else round(options.max_age / context.dt)
+    reason = "" if limit >= max(context.delay) else "it drops delayed samples"
     return linear_filter.design(
-        setting, options, "kf-drop-delayed", own=np.asarray(limit), unproven=why, restarts=False
+        context, options, "kf-drop-delayed", own=np.asarray(limit), reason=reason, restarts=False
     )

@@ -54,7 +54,7 @@ def init(gains: Gains, xhat0: Float[PyTree, " n"]) -> Memory:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use the arriving samples, and the last value received of silent outputs."""
     ratio = jnp.ones_like(arrival.value)
-    received = jnp.where(arrival.mask, arrival.value, memory.received)
+    last_value = jnp.where(arrival.mask, arrival.value, memory.received)
     if arrival.silent is not None:
         silent = arrival.silent & ~jnp.isnan(memory.received) & (gains.own > 0)
         ratio = jnp.where(silent, 1 + gains.own**2 / (3 * gains.R), ratio)
@@ -62,7 +62,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
     after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
     some = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
-    return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), received)
+    return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), last_value)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
@@ -83,22 +83,20 @@ OBSERVER = Observer(
 )
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError for thresholds that do not fit the outputs."""
-    where, q = f"kf-event in {setting.scenario}", len(setting.noise_std)
-    if options.threshold is not None and not setting.send_threshold:
+    where, q = f"kf-event in {context.scenario}", len(context.noise_std)
+    if options.threshold is not None and not context.send_threshold:
         raise UserError(
             f"{where}: threshold: got {options.threshold}, expected none, as no sensor has a send_threshold whose silence is "
             "information; leave it out."
         )
-    given = setting.send_threshold or (0.0,) * q if options.threshold is None else options.threshold
-    d = np.broadcast_to(np.asarray(given, float), q) if np.size(given) in (1, q) else None
+    threshold = context.send_threshold or (0.0,) * q if options.threshold is None else options.threshold
+    d = np.broadcast_to(np.asarray(threshold, float), q) if np.size(threshold) in (1, q) else None
     if d is None or not (np.isfinite(d) & (d >= 0)).all():
         raise UserError(
-            f"{where}: threshold: got {given}, expected {q} numbers of 0 or more; write one for each output."
+            f"{where}: threshold: got {threshold}, expected {q} numbers of 0 or more; write one for each output."
         )
-    if setting.noise_correlation and d.any():
+    if context.noise_correlation and d.any():
         raise UserError(f"{where}: got correlated measurement noise, expected independent outputs; use kf.")
-    return linear_filter.design(
-        setting, options, "kf-event", own=d, unproven="the error during silence is not Gaussian"
-    )
+    return linear_filter.design(context, options, "kf-event", own=d, reason="the error during silence is not Gaussian")

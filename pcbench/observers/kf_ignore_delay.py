@@ -40,6 +40,6 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; no room is needed, because every sample counts as the newest."""
-    return linear_filter.design(setting, options, "kf-ignore-delay", np.zeros(0), unproven="it ignores delays")
+    return linear_filter.design(context, options, "kf-ignore-delay", np.zeros(0), reason="it ignores delays")

@@ -32,10 +32,10 @@ def local(h: Array, s: Array, near: Array) -> Array:
 OBSERVER = stochastic_cloning.observer(local)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the copies; there is no certificate."""
-    own, why = (
-        stochastic_cloning.room(setting, "kf-larsen"),
+    room, reason = (
+        stochastic_cloning.room(context, "kf-larsen"),
         "its innovation ignores measurements that arrive in between",
     )
-    return linear_filter.design(setting, options, "kf-larsen", own=own, unproven=why)
+    return linear_filter.design(context, options, "kf-larsen", own=room, reason=reason)

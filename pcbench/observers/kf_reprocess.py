@@ -28,20 +28,20 @@ class Options(linear_filter.Options):
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use a sample unless it is older than the state before the stored samples."""
-    sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
-    used = linear_filter.use(gains, memory, now, sample)
-    return select_memory(sample.mask & (sample.taken >= memory.buffer.before.taken), used, memory)
+    sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
+    updated_memory = linear_filter.use(gains, memory, now, sample)
+    return select_memory(sample.mask & (sample.taken >= memory.buffer.before.taken), updated_memory, memory)
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, without a certificate if the schedule needs more stored samples than `keep`."""
-    reason = f"it stores {options.keep} samples, but {setting.overtaking} newer ones may arrive before a sample"
-    why = reason if setting.overtaking > options.keep else ""
-    designed = linear_filter.design(
-        setting, options, "kf-reprocess", np.zeros(options.keep), unproven=why, restarts=False
+    needs_more = context.overtaking > options.keep
+    reason = f"it stores {options.keep} samples, but {context.overtaking} newer ones may arrive before a sample"
+    kf_design = linear_filter.design(
+        context, options, "kf-reprocess", np.zeros(options.keep), reason=reason if needs_more else "", restarts=False
     )
-    numbers = {**designed.certificate.numbers, "kept": float(options.keep), "needed": float(setting.overtaking)}
-    return designed._replace(certificate=designed.certificate._replace(numbers=numbers))
+    numbers = {**kf_design.certificate.numbers, "kept": float(options.keep), "needed": float(context.overtaking)}
+    return kf_design._replace(certificate=kf_design.certificate._replace(numbers=numbers))

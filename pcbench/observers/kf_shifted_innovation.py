@@ -43,13 +43,13 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; no room is needed, because every update is at the present."""
     return linear_filter.design(
-        setting,
+        context,
         options,
         "kf-shifted-innovation",
         np.zeros(0),
-        unproven="it assumes that the plant is an integrator",
+        reason="it assumes that the plant is an integrator",
         restarts=False,
     )

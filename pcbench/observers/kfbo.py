@@ -76,7 +76,7 @@ class Options(StrictOptions):
     sampled_innovation: bool = Field(False, description="hold the innovation instead of the measurement")
 
     @model_validator(mode="after")
-    def _one_variant(self) -> "Options":
+    def _require_one_variant(self) -> "Options":
         if self.lag_aware and self.sampled_innovation:
             raise ValueError("one of lag_aware and sampled_innovation, not both (they disagree about z's time)")
         return self
@@ -95,30 +95,30 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Propagate filter and prediction by one tick, exactly for held input and held Y."""
-    u, started = now.u, now.tick >= gains.lag
+    u, is_past_lag = now.u, now.tick >= gains.lag
     u_then = now.past_u(gains.lag)
-    z = jnp.where(started, gains.Phi_z @ memory.z + gains.Gamma_z @ u_then + gains.Gain_z @ memory.Y, memory.z)
-    leaving = jnp.where(started, gains.E @ (gains.Gamma @ u_then), 0.0)
-    pushed = gains.Gamma @ u
-    s = gains.Phi @ memory.s + pushed - leaving
-    return Memory(z, s, jnp.where(started, gains.E @ z + s, gains.Phi @ memory.xhat + pushed), memory.Y)
+    z = jnp.where(is_past_lag, gains.Phi_z @ memory.z + gains.Gamma_z @ u_then + gains.Gain_z @ memory.Y, memory.z)
+    old_response = jnp.where(is_past_lag, gains.E @ (gains.Gamma @ u_then), 0.0)
+    increment = gains.Gamma @ u
+    s = gains.Phi @ memory.s + increment - old_response
+    return Memory(z, s, jnp.where(is_past_lag, gains.E @ z + s, gains.Phi @ memory.xhat + increment), memory.Y)
 
 
 OBSERVER = Observer(init, no_snapshot, jump, flow, xhat)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Solve the Riccati equation (27), check that A - K C is Hurwitz, and discretise exactly."""
-    model, where = setting.model, f"kfbo in {setting.scenario}"
-    if model.discrete or len(set(setting.delay)) > 1:
-        found = "a discrete plant" if model.discrete else f"channels with delays {setting.delay} (ticks)"
+    model, where = context.model, f"kfbo in {context.scenario}"
+    if model.discrete or len(set(context.delay)) > 1:
+        mismatch = "a discrete plant" if model.discrete else f"channels with delays {context.delay} (ticks)"
         raise UserError(
-            f"{where}: got {found}, expected a continuous plant and one delay for all channels; leave kfbo out."
+            f"{where}: got {mismatch}, expected a continuous plant and one delay for all channels; leave kfbo out."
         )
-    delay, period = setting.delay[0], setting.period[0]
-    A, B, C, h, m = model.A, model.B, model.C, setting.dt, model.B.shape[1]
+    delay, period = context.delay[0], context.period[0]
+    A, B, C, h, m = model.A, model.B, model.C, context.dt, model.B.shape[1]
     if options.R == "noise":
-        R = np.diag(setting.noise_variance * setting.period * h)
+        R = np.diag(context.noise_variance * context.period * h)
     else:
         R = assumed_noise.covariance(options.R, len(C), f"{where}: R", "output")
     if isinstance(options.Q, list):
@@ -129,9 +129,9 @@ def design(setting: DesignContext, options: Options) -> Design:
     certificate = require_certified(stationary.certificate, where)
     certificate = certificate._replace(numbers={**certificate.numbers, **assumed_noise.option("R", R)})
     K = stationary.K
-    if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
+    if options.lag_aware and (period % 2 or len(set(context.period)) > 1):
         raise UserError(
-            f"{where}: lag_aware shifts by te/2, got te = {setting.period} ticks, expected one even te for all channels."
+            f"{where}: lag_aware shifts by te/2, got te = {context.period} ticks, expected one even te for all channels."
         )
     lag = delay + (period // 2 if options.lag_aware else 0)
     Phi, Gamma = linear.one_tick(model, h)

@@ -51,57 +51,57 @@ class Options(StrictOptions):
 OBSERVER = held_innovation.OBSERVER
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return L with its certificate; raise DesignError if no L is certified."""
-    model, where = setting.model, f"lmi-sampled in {setting.scenario}"
-    held_innovation.require_continuous(setting, where)
+    model, where = context.model, f"lmi-sampled in {context.scenario}"
+    held_innovation.require_continuous(context, where)
     require_detectable(model, where)
-    given = None if options.L is None else matrix(options.L, model.C.T.shape, f"{where}: L", "states x outputs")
-    task = task_of(setting, options, where)
-    scale = riccati.near(riccati.prior_size(setting))
-    L, certificate = held_lmi.design(task, given, scale, where)
-    mean = max(setting.period) * setting.dt
+    option_L = None if options.L is None else matrix(options.L, model.C.T.shape, f"{where}: L", "states x outputs")
+    task = task_of(context, options, where)
+    scale = riccati.near(riccati.prior_size(context))
+    L, certificate = held_lmi.design(task, option_L, scale, where)
+    mean = max(context.period) * context.dt
     radius = max(constant_periods.spectral_radius(constant_periods.held_map(A, L, model.C, mean)) for A in task.A)
     numbers = dict(certificate.numbers) | {"radius_at_mean_period": radius}
     certificate = certificate._replace(numbers=numbers)
-    if any(setting.delay):
+    if any(context.delay):
         certificate = no_certificate("the measurements are delayed")._replace(numbers=numbers)
-    elif setting.field is not None and not options.parameter_range:
+    elif context.field is not None and not options.parameter_range:
         certificate = no_certificate("the plant is nonlinear; give a parameter_range that contains its slopes")
         certificate = certificate._replace(numbers=numbers)
     q = len(model.C)
-    return Design(held_innovation.gains_of(setting, L, np.zeros((q, q))), certificate)
+    return Design(held_innovation.gains_of(context, L, np.zeros((q, q))), certificate)
 
 
-def task_of(setting: DesignContext, options: Options, where: str) -> HeldTask:
+def task_of(context: DesignContext, options: Options, where: str) -> HeldTask:
     """Return the problem of the LMI: the corner models, the clocks, and their longest intervals.
 
     The held innovation of a delayed sample stays in use for the delay longer, so the delay is added to the interval.
     """
-    q = len(setting.model.C)
-    clocks = (0,) * q if setting.sensors == 1 else tuple(range(q))
-    periods = (max(setting.intervals or setting.period),) if setting.sensors == 1 else setting.period
-    delays = (max(setting.delay),) if setting.sensors == 1 else setting.delay
+    q = len(context.model.C)
+    clocks = (0,) * q if context.sensors == 1 else tuple(range(q))
+    periods = (max(context.intervals or context.period),) if context.sensors == 1 else context.period
+    delays = (max(context.delay),) if context.sensors == 1 else context.delay
     longest = tuple(
-        (options.max_interval or period * setting.dt) + delay * setting.dt
+        (options.max_interval or period * context.dt) + delay * context.dt
         for period, delay in zip(periods, delays, strict=True)
     )
-    corners = corner_models(setting, options.parameter_range or {}, where)
+    corners = corner_models(context, options.parameter_range or {}, where)
     if len(corners) * 2 ** len(longest) > MOST:
         raise UserError(
             f"{where}: got {len(corners)} corners of parameters and {len(longest)} clocks, which are more than {MOST} "
             "corners of the LMI; leave a parameter or a sensor out."
         )
-    return HeldTask(corners, setting.model.C, clocks, longest, options.decay)
+    return HeldTask(corners, context.model.C, clocks, longest, options.decay)
 
 
-def corner_models(setting: DesignContext, parameters: dict[str, list[float]], where: str) -> Matrix:
+def corner_models(context: DesignContext, parameters: dict[str, list[float]], where: str) -> Matrix:
     """Return A [k, n, n] at all corners of the parameter ranges; raise UserError unless A is affine in the parameters."""
     if not parameters:
-        return setting.model.A[None]
+        return context.model.A[None]
 
     def model(values: tuple[float, ...]) -> Matrix:
-        return np.asarray(setting.variant(dict(zip(parameters, values, strict=True))).A)
+        return np.asarray(context.variant(dict(zip(parameters, values, strict=True))).A)
 
     corners = np.stack([model(values) for values in itertools.product(*parameters.values())])
     middle = model(tuple((low + high) / 2 for low, high in parameters.values()))

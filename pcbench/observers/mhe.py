@@ -120,13 +120,13 @@ def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"
     N, q = path.shape[1], gains.C.shape[0]
     since = jnp.append(w.since, w.samples.taken[:-1])
 
-    def one(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
+    def linearize_stage(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
         f, F, Q = stage(gains, now, z, begin, sample.taken)
         y, H = linearize_output(gains, at(now, sample.taken), next_)
         value = nearest(gains, sample.value, y) - y + H @ next_
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
-    rest = lax.map(lambda row: one(*row), (path[:-1], path[1:], since, w.samples))
+    rest = lax.map(lambda row: linearize_stage(*row), (path[:-1], path[1:], since, w.samples))
     head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
     return Chain(*(jnp.concatenate([a[None], b]) for a, b in zip(head, rest, strict=True)))
 
@@ -135,12 +135,12 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     """Insert a sample of the state's tick into the window, drop the oldest, and solve for all states again."""
     z, P, _ = ekf_iterated.update_about(gains, now, state, sample, state.mean)
 
-    def shifted(rows: Array, new: Array) -> Array:
+    def shift(rows: Array, new: Array) -> Array:
         return jnp.concatenate([rows[1:], jnp.asarray(new)[None]])
 
     w = state._replace(
-        samples=jax.tree.map(shifted, state.samples, sample),
-        spreads=shifted(state.spreads, P),
+        samples=jax.tree.map(shift, state.samples, sample),
+        spreads=shift(state.spreads, P),
         before=state.means[0],
         known=state.spreads[0],
         since=state.samples.taken[0],
@@ -152,49 +152,49 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
         return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
     path = lax.fori_loop(0, gains.own.iterations.shape[0], gauss_newton_step, path)
-    return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
+    return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shift(state.means, path[-1]))
 
 
 OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.innovation_at_mean, first))
 
 
-def bounds_of(setting: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
+def bounds_of(context: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
     """Return the bounds of states and unknowns, () without bounds; raise UserError if they do not fit or exclude xhat0."""
-    n = len(setting.model.A)
+    n = len(context.model.A)
     ends = []
     for name, none in (("lower", -np.inf), ("upper", np.inf)):
-        given = getattr(options, name)
-        if isinstance(given, list) and len(given) != n:
-            raise UserError(f"{where}: {name}: got {brief_repr(given)}, expected a number, or {n}, one for each state.")
-        ends.append(np.broadcast_to(none if given is None else np.asarray(given, float), n))
+        bound = getattr(options, name)
+        if isinstance(bound, list) and len(bound) != n:
+            raise UserError(f"{where}: {name}: got {brief_repr(bound)}, expected a number, or {n}, one for each state.")
+        ends.append(np.broadcast_to(none if bound is None else np.asarray(bound, float), n))
     low, high = ends
     if not np.all(low < high):
         raise UserError(
             f"{where}: got lower = {low.tolist()} and upper = {high.tolist()}, expected the first below; change them."
         )
-    start = np.array(setting.xhat0 or low)
+    start = np.array(context.xhat0 or low)
     if np.any(start < low) or np.any(start > high):
         raise UserError(
             f"{where}: got bounds that leave out xhat0 = {start.tolist()}, expected lower <= xhat0 <= upper; widen them, or "
             "start within."
         )
-    more = np.array(setting.unknown_range, float).reshape(-1, 2)
+    more = np.array(context.unknown_range, float).reshape(-1, 2)
     low, high = np.append(low, more[:, 0]), np.append(high, more[:, 1])
     if not (np.isfinite(low) | np.isfinite(high)).any():
         return ()
-    size = np.sqrt(np.append(np.diag(setting.P0), np.square(setting.unknown_std)))
+    size = np.sqrt(np.append(np.diag(context.P0), np.square(context.unknown_std)))
     return Bounds(low, high, 0.01 * np.where(size > 0, size, 1.0))
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError for a window longer than a run, or for bounds that exclude xhat0."""
-    where = f"mhe in {setting.scenario}"
-    most = sum(setting.ticks // period + 1 for period in setting.period)
+    where = f"mhe in {context.scenario}"
+    most = sum(context.ticks // period + 1 for period in context.period)
     window = min(USUAL, most) if options.window is None else options.window
     if window > most:
         raise UserError(
             f"{where}: got a window of {window} samples, longer than the horizon, in which {most} are taken; expected "
             f"at most {most}."
         )
-    own = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(setting, options, where))
-    return nonlinear_model.design(setting, options, "mhe", lambda gains: own)
+    horizon = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(context, options, where))
+    return nonlinear_model.design(context, options, "mhe", lambda gains: horizon)

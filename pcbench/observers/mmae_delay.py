@@ -89,9 +89,9 @@ def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, sto
         x, P = xP
         k = start + i
         u, goes = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
-        moved = x @ gains.Phi.T + u @ gains.Gamma.T
+        x_next = x @ gains.Phi.T + u @ gains.Gamma.T
         spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
-        return jnp.where(goes[:, None], moved, x), jnp.where(goes[:, None, None], spread, P)
+        return jnp.where(goes[:, None], x_next, x), jnp.where(goes[:, None, None], spread, P)
 
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
 
@@ -111,23 +111,23 @@ def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
     """Update every filter at its assumed sampling tick, and its weight by the likelihood of the sample."""
     came = sample.snapshot[0].astype(int)
-    taken = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
-    x, P = predict_models(gains, now, before.x, before.P, before.at, taken)
+    ticks = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
+    x, P = predict_models(gains, now, before.x, before.P, before.at, ticks)
     x, P, likelihood = jax.vmap(partial(update_model, gains, sample))(x, P)
-    return Filters(x, P, taken, jax.nn.log_softmax(before.weight + likelihood))
+    return Filters(x, P, ticks, jax.nn.log_softmax(before.weight + likelihood))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Insert the arriving sample in order of sampling, and mix the filters' predictions of the present."""
 
-    def jumped(memory: Memory, arrival: Arrival) -> Memory:
+    def apply(memory: Memory, arrival: Arrival) -> Memory:
         came = jnp.asarray(now.tick, float)[None]
         sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
         buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
         present = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
         return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
 
-    return vmap_as_unit(jumped)(memory, arrival)
+    return vmap_as_unit(apply)(memory, arrival)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -148,7 +148,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance of the mixture: within the filters, and of their means and delays."""
 
-    def mixed(memory: Memory) -> Array:
+    def mixture(memory: Memory) -> Array:
         at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
         x, P = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
         share, n = jnp.exp(at.weight), gains.C.shape[1]
@@ -157,7 +157,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
         joint = (share[:, None] * deviation).T @ deviation
         return spread(gains, joint.at[:n, :n].add(jnp.tensordot(share, P, 1)))
 
-    return vmap_as_unit(mixed)(memory)
+    return vmap_as_unit(mixture)(memory)
 
 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
@@ -170,13 +170,13 @@ def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
 OBSERVER = Observer(init, snapshot, jump, flow, estimate, covariance=covariance, delay=delay)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions of the filters; raise UserError for delays out of range, or for too many."""
-    where, dt = f"mmae-delay in {setting.scenario}", setting.dt
+    where, dt = f"mmae-delay in {context.scenario}", context.dt
     delays = options.delays
     if delays and options.longest is None:
         options = options.model_copy(update={"longest": max(*delays, dt)})
-    gains = unknown_delay.design(setting, options, "mmae-delay")
+    gains = unknown_delay.design(context, options, "mmae-delay")
     longest = int(gains.longest)
     ticks = np.unique(np.round(np.asarray(delays) / dt if delays else np.linspace(0, longest, FILTERS)).astype(int))
     if ticks[0] < 0 or ticks[-1] > longest:

@@ -63,8 +63,8 @@ def field(gains: Gains, memory: Float[Array, " n"], now: Now, y: Float[Array, " 
 OBSERVER = Observer(init, snapshot, jump, flow, estimate, field)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Discretise the model exactly; there is no gain to prove."""
-    Phi, Gamma = linear.one_tick(setting.model, setting.dt)
-    gains = Gains(Phi, Gamma, setting.model.A, setting.model.B)
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
+    gains = Gains(Phi, Gamma, context.model.A, context.model.B)
     return Design(gains, Certificate(NO_GAIN, float("inf"), "none", "not needed", {"Phi": Phi}))

@@ -39,19 +39,23 @@ class Options(StrictOptions):
     pole: Pole = tunable(1e-4, (-1, 1), description="pole of A - K C")
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Design without delays; the gain is certified if the spectral radius with the delays is below 1 too."""
-    where, plant = f"no-delay in {setting.scenario}", sample_plant(setting, "no-delay")
+    where, plant = f"no-delay in {context.scenario}", sample_plant(context, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
-    undelayed, delayed = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
-    numbers = {"K": K, "radius_without_delays": undelayed}
-    numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
-    ignored = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
-    proof = require_certified(ignored, where)
-    if delayed < 1:
-        proof = proof._replace(rate=rate_of(delayed, plant.period * setting.dt))
+    radius, radius_with_delays = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
+    numbers = {"K": K, "radius_without_delays": radius}
+    numbers |= (
+        {"radius_with_these": radius_with_delays} if np.isfinite(radius_with_delays) else {}
+    )  # too long a delay: not computed
+    undelayed_certificate = Certificate(
+        "radius of A - K C < 1, delays ignored", 1 - radius, "poles", "computed", numbers
+    )
+    proof = require_certified(undelayed_certificate, where)
+    if radius_with_delays < 1:
+        proof = proof._replace(rate=rate_of(radius_with_delays, plant.period * context.dt))
     else:
-        found = f"{delayed:.4g}, not below 1" if np.isfinite(delayed) else "not computed"
-        proof = no_certificate(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
-    return Design(assumed_age.gains_of(setting, plant.A, K, ages), proof)
+        text = f"{radius_with_delays:.4g}, not below 1" if np.isfinite(radius_with_delays) else "not computed"
+        proof = no_certificate(f"designed without delays; the radius with these is {text}")._replace(numbers=numbers)
+    return Design(assumed_age.gains_of(context, plant.A, K, ages), proof)

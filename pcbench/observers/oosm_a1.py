@@ -28,7 +28,7 @@ from pcbench.synthesis.certificate import Design, DesignContext
 Options = linear_filter.Options
 
 
-def last(gains: Gains, memory: Memory, taken: Array) -> Last:
+def last(gains: Gains, memory: Memory, tick: Array) -> Last:
     """Return the last update of the memory."""
     return memory.last
 
@@ -36,6 +36,6 @@ def last(gains: Gains, memory: Memory, taken: Array) -> Last:
 OBSERVER = retrodiction.observer(last, zero=False)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, and the maps back in time."""
-    return retrodiction.design(setting, options, "oosm-a1", 1, "it goes back by one update only")
+    return retrodiction.design(context, options, "oosm-a1", 1, "it goes back by one update only")

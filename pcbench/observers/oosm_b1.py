@@ -16,6 +16,6 @@ Options = linear_filter.Options
 OBSERVER = retrodiction.observer(last, zero=True)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, and the maps back in time."""
-    return retrodiction.design(setting, options, "oosm-b1", 1, "it neglects the process noise in between")
+    return retrodiction.design(context, options, "oosm-b1", 1, "it neglects the process noise in between")

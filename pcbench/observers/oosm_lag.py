@@ -32,10 +32,10 @@ class Options(linear_filter.Options):
     keep: int = Field(4, ge=1, le=64, description="number of past estimates that are stored with their covariance")
 
 
-def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:
-    """Return one update that is equivalent to all updates after tick `taken`."""
-    known = memory.past.taken <= taken
-    newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last one: several may have the same tick
+def equivalent(gains: Gains, memory: Memory, tick: Array) -> Last:
+    """Return one update that is equivalent to all updates after `tick`."""
+    is_earlier = memory.past.taken <= tick
+    newest = is_earlier & (jnp.cumsum(is_earlier[::-1])[::-1] == 1)  # the last one: several may have the same tick
     before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
     there = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
     x, P, _ = memory.posterior
@@ -46,6 +46,6 @@ def equivalent(gains: Gains, memory: Memory, taken: Array) -> Last:
 OBSERVER = retrodiction.observer(equivalent, zero=False)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, and the maps back in time."""
-    return retrodiction.design(setting, options, "oosm-lag", options.keep, "it replaces several updates by one")
+    return retrodiction.design(context, options, "oosm-lag", options.keep, "it replaces several updates by one")

@@ -69,7 +69,7 @@ def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"
     """Return the particles of a run at tick 0."""
     S, zero = gains.own.room.shape[0], jnp.asarray(0)
     x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.own.start.T
-    x = jax.vmap(lambda each: clip_parameters(gains, each))(x)
+    x = jax.vmap(lambda z_i: clip_parameters(gains, z_i))(x)
     return Cloud(x, jnp.full(S, -jnp.log(float(S))), words, zero)
 
 
@@ -91,13 +91,13 @@ def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: 
 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
     """Propagate every particle by one tick with process noise; a particle that overflows stays, with weight 0."""
-    moved = jax.vmap(lambda z: gains.motion(now, z))(state.x)
-    moved = moved + normals(state.words, PROCESS, now.tick, moved.shape) @ gains.own.process.T
-    moved = jax.vmap(lambda z: clip_parameters(gains, z))(moved)
-    finite = jnp.all(jnp.isfinite(moved), axis=1)
-    left = jnp.where(finite, state.weight, -jnp.inf)
-    weight = jnp.where(jnp.all(finite), left, left - jax.nn.logsumexp(left))
-    return state._replace(x=jnp.where(finite[:, None], moved, state.x), weight=weight)
+    x = jax.vmap(lambda z: gains.motion(now, z))(state.x)
+    x = x + normals(state.words, PROCESS, now.tick, x.shape) @ gains.own.process.T
+    x = jax.vmap(lambda z: clip_parameters(gains, z))(x)
+    finite = jnp.all(jnp.isfinite(x), axis=1)
+    log_weight = jnp.where(finite, state.weight, -jnp.inf)
+    weight = jnp.where(jnp.all(finite), log_weight, log_weight - jax.nn.logsumexp(log_weight))
+    return state._replace(x=jnp.where(finite[:, None], x, state.x), weight=weight)
 
 
 def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
@@ -111,7 +111,7 @@ def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Arr
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weight the particles by a sample of their tick, and resample if too few are effective."""
     y = predict_outputs(gains, now, state.x)
-    off = jnp.square(jax.vmap(lambda each: nearest(gains, sample.value, each) - each)(y))
+    off = jnp.square(jax.vmap(lambda y_i: nearest(gains, sample.value, y_i) - y_i)(y))
     off = off / sample.variances(gains.R)[None]
     off = jnp.where(jnp.isnan(off), jnp.inf, off)  # a particle without a finite output has weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
@@ -145,10 +145,10 @@ def innovation_of_cloud(gains: Gains, now: Now, state: Cloud, sample: Measuremen
     """Return the innovation statistics of a sample, by mean and covariance of the particles."""
     y = predict_outputs(gains, now, state.x)
     invalid = jnp.any(~jnp.isfinite(y) & sample.mask[None], axis=1)  # as in `update`: weight 0
-    left = jnp.where(invalid, -jnp.inf, state.weight)
-    weight = jnp.where(jnp.any(invalid), left - jax.nn.logsumexp(left), state.weight)
-    both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
-    return kalman.by_points(gains, *weighted_moments(weight, both), sample)[2]
+    log_weight = jnp.where(invalid, -jnp.inf, state.weight)
+    weight = jnp.where(jnp.any(invalid), log_weight - jax.nn.logsumexp(log_weight), state.weight)
+    joint = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
+    return kalman.by_points(gains, *weighted_moments(weight, joint), sample)[2]
 
 
 OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_of_cloud, first, mean, spread))._replace(
@@ -162,15 +162,15 @@ def symmetric_root(M: np.ndarray) -> np.ndarray:
     return np.asarray((V * np.sqrt(np.maximum(values, 0.0))) @ V.T)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError if the particles do not fit into memory."""
-    N = len(setting.model.A) + len(setting.unknown_std)
-    each = 8 * (N + 1) * (setting.overtaking + 3) * LANES
-    if options.particles * each > machine.usable():
+    N = len(context.model.A) + len(context.unknown_std)
+    particle_size = 8 * (N + 1) * (context.overtaking + 3) * LANES
+    if options.particles * particle_size > machine.usable():
         raise UserError(
-            f"particle in {setting.scenario}: got {options.particles} particles, which take "
-            f"{options.particles * each / 1e9:.3g} GB of memory for {LANES} runs at once, expected at most "
-            f"{machine.usable() // each}; write fewer."
+            f"particle in {context.scenario}: got {options.particles} particles, which take "
+            f"{options.particles * particle_size / 1e9:.3g} GB of memory for {LANES} runs at once, expected at most "
+            f"{machine.usable() // particle_size}; write fewer."
         )
 
     def swarm(gains: Gains) -> Swarm:
@@ -178,4 +178,4 @@ def design(setting: DesignContext, options: Options) -> Design:
             np.zeros(options.particles), symmetric_root(gains.P0), symmetric_root(gains.Q), np.asarray(options.resample)
         )
 
-    return nonlinear_model.design(setting, options, "particle", swarm)
+    return nonlinear_model.design(context, options, "particle", swarm)

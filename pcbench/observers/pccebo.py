@@ -85,23 +85,23 @@ def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     return Point(free + gains.L @ innovation, sample.taken)
 
 
-jump = prediction.jumping(correct, lambda point: point)
+jump = prediction.make_jump(correct, lambda point: point)
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return L for the (mean) sampling period or a range, with its certificate; raise DesignError without one."""
-    one_clock(setting, "pccebo")
-    where = f"pccebo in {setting.scenario}"
-    require_detectable(setting.model, where)
-    shape = setting.model.C.T.shape
+    one_clock(context, "pccebo")
+    where = f"pccebo in {context.scenario}"
+    require_detectable(context.model, where)
+    shape = context.model.C.T.shape
     given = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
     wide = options.period_range is not None or options.parameter_range is not None
     maps = (
-        parameter_ranges.maps(setting, options.period_range, options.parameter_range, options.q, where)
+        parameter_ranges.maps(context, options.period_range, options.parameter_range, options.q, where)
         if wide
         else None
     )
-    L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
-    moves = prediction.motion_of(setting.model, setting)
-    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.room), certificate)
+    L, certificate = current_gains.find(context, options.gain, given, options.q, options.decay, maps, where)
+    moves = prediction.motion_of(context.model, context)
+    return Design(Gains(moves, context.model.C, context.model.feedthrough, L, context.room), certificate)

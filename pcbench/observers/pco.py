@@ -95,43 +95,43 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def step_reduced(gains: Gains, before: ReducedState, sample: Measurement) -> ReducedState:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
-    predicted = gains.T @ (sample.snapshot + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
-    nu = jnp.where(sample.mask, sample.value - predicted[:l], 0.0)
+    prior = gains.T @ (sample.snapshot + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
+    nu = jnp.where(sample.mask, sample.value - prior[:l], 0.0)
     push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
-    xhat = gains.T_inv @ jnp.concatenate([predicted[:l] + nu, predicted[l:] + push])
+    xhat = gains.T_inv @ jnp.concatenate([prior[:l] + nu, prior[l:] + push])
     return ReducedState(Point(xhat - sample.snapshot, sample.taken), L, jnp.asarray(True))
 
 
-jump = prediction.jumping(step_reduced, lambda state: state.point)
+jump = prediction.make_jump(step_reduced, lambda state: state.point)
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 
-def design(setting: DesignContext, options: Proportional) -> Design:
+def design(context: DesignContext, options: Proportional) -> Design:
     """Return Kp (and Ki), given or by LMI, certified for the schedule's intervals; raise DesignError without certificate."""
     integral = isinstance(options, ProportionalIntegral)
     name = "pi-pco" if integral else "pco"
-    where = f"{name} in {setting.scenario}"
-    one_clock(setting, name)
-    maps = parameter_ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
-    plant = reduced_order.partition(setting.model, riccati.prior_size(setting), maps, where)
+    where = f"{name} in {context.scenario}"
+    one_clock(context, name)
+    maps = parameter_ranges.maps(context, options.period_range, options.parameter_range, 0.0, where)
+    plant = reduced_order.partition(context.model, riccati.prior_size(context), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
-    named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
-    chosen = {name: given for name, given in named.items() if given is not None and given != "lmi"}
-    if 0 < len(chosen) < len(named):
+    gain_options = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
+    fixed = {name: value for name, value in gain_options.items() if value is not None and value != "lmi"}
+    if 0 < len(fixed) < len(gain_options):
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
-    what = "unmeasured states x outputs"
-    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in chosen.items()]
-    Kp, Ki, proof = reduced_order.design(plant, given, integral, options.decay, where)
+    dimensions = "unmeasured states x outputs"
+    matrices = [matrix(value, shape, f"{where}: {name}", dimensions) for name, value in fixed.items()]
+    Kp, Ki, proof = reduced_order.design(plant, matrices, integral, options.decay, where)
     certificate = require_certified(proof, where)
-    moves = prediction.motion_of(setting.model, setting)
+    moves = prediction.motion_of(context.model, context)
     gains = Gains(
         motion=moves,
         T=plant.T,
         T_inv=np.linalg.inv(plant.T),
-        D=setting.model.feedthrough,
+        D=context.model.feedthrough,
         Kp=Kp,
         Ki=Ki,
-        room=setting.room,
+        room=context.room,
     )
     return Design(gains, certificate)

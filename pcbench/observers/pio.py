@@ -31,8 +31,8 @@ from pcbench.synthesis.unknown_input import injection, split
 
 
 def _published_gains() -> pi_lmi.PIGains:
-    one = np.ones(2)
-    P = pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), 0.8261 * one, 0.3339 * one, 0.3328 * one)
+    ones = np.ones(2)
+    P = pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), 0.8261 * ones, 0.3339 * ones, 0.3328 * ones)
     KP = np.array([[21.7396, 0.0278], [0.0283, 21.8043]])
     KI = np.array([[22.2876, 0.0272], [0.0288, 22.3538]])
     return pi_lmi.PIGains(KP, KI, P, float("nan"), "printed", "none")
@@ -67,21 +67,21 @@ def inject(
 OBSERVER = unknown_input.observer(inject)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the printed gains or those by LMI (38), (52), with a certified decay rate."""
-    where = f"pio in {setting.scenario}"
-    parts = split(setting.model, where)
-    unknown_input.one_delay(setting, where)
+    where = f"pio in {context.scenario}"
+    parts = split(context.model, where)
+    unknown_input.require_one_delay(context, where)
     if options.gains == "paper":
-        unknown_input.printed_for(arm.LINEAR, setting, where)
+        unknown_input.require_plant(arm.LINEAR, context, where)
         L1: Matrix = smo.PRINTED.L1
-        found = PRINTED
-        certificate = require_certified(pi_lmi.certify(found, parts, L1), where)
+        pi_gains = PRINTED
+        certificate = require_certified(pi_lmi.certify(pi_gains, parts, L1), where)
     else:
         L1 = sliding_mode.design(parts, options.alpha, where)[0].L1
-        found, certificate = pi_lmi.design(parts, L1, options.beta, where)
-    unknown_input.short_tick(setting, float(np.linalg.norm(found.KP, 2)), "|KP|", where)
-    law = IntegralLaw(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
-    p = len(setting.model.C)
-    gains = unknown_input.gains_of(setting, parts, injection(parts, L1, np.zeros((p, p))), law, options)
-    return Design(gains, certificate, unknown_input.carries(setting, options))
+        pi_gains, certificate = pi_lmi.design(parts, L1, options.beta, where)
+    unknown_input.require_short_tick(context, float(np.linalg.norm(pi_gains.KP, 2)), "|KP|", where)
+    law = IntegralLaw(np.asarray(pi_gains.KP), np.asarray(pi_gains.KI), np.asarray(options.xi))
+    p = len(context.model.C)
+    gains = unknown_input.gains_of(context, parts, injection(parts, L1, np.zeros((p, p))), law, options)
+    return Design(gains, certificate, unknown_input.carries(context, options))

@@ -65,19 +65,19 @@ def inject(
 OBSERVER = unknown_input.observer(inject)
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the printed gains or those by LMI (23), (24), with a certified decay rate."""
-    where = f"smo in {setting.scenario}"
-    parts = split(setting.model, where)
-    unknown_input.one_delay(setting, where)
+    where = f"smo in {context.scenario}"
+    parts = split(context.model, where)
+    unknown_input.require_one_delay(context, where)
     if options.gains == "paper":
-        unknown_input.printed_for(arm.LINEAR, setting, where)
-        found = PRINTED
-        certificate = require_certified(sliding_mode.certify(found, parts), where)
+        unknown_input.require_plant(arm.LINEAR, context, where)
+        sliding_gains = PRINTED
+        certificate = require_certified(sliding_mode.certify(sliding_gains, parts), where)
     else:
-        found, certificate = sliding_mode.design(parts, options.alpha, where)
-    gain = options.rho * float(np.linalg.norm(found.P2, 2)) / options.eps
-    unknown_input.short_tick(setting, gain, "rho |P2| / eps", where)
-    law = SlidingLaw(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))
-    gains = unknown_input.gains_of(setting, parts, injection(parts, found.L1, found.A22s), law, options)
-    return Design(gains, certificate, unknown_input.carries(setting, options))
+        sliding_gains, certificate = sliding_mode.design(parts, options.alpha, where)
+    gain = options.rho * float(np.linalg.norm(sliding_gains.P2, 2)) / options.eps
+    unknown_input.require_short_tick(context, gain, "rho |P2| / eps", where)
+    law = SlidingLaw(np.asarray(sliding_gains.P2), np.asarray(options.rho), np.asarray(options.eps))
+    gains = unknown_input.gains_of(context, parts, injection(parts, sliding_gains.L1, sliding_gains.A22s), law, options)
+    return Design(gains, certificate, unknown_input.carries(context, options))

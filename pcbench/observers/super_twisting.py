@@ -110,13 +110,13 @@ WAY = repropagation.Way(tick, update, expected, first, mean=lambda gains, state:
 OBSERVER = repropagation.observer(WAY)._replace(covariance=None, innovation=None)
 
 
-def coordinates(setting: DesignContext, where: str) -> np.ndarray:
+def coordinates(context: DesignContext, where: str) -> np.ndarray:
     """Return the map [2, 2] from (y, y') to x; raise UserError for a plant without such coordinates."""
-    wrong = "a plant that is given by its step" if setting.successor is not None else ""
-    wrong = wrong or (f"{len(setting.unknown_std)} unknown inputs or parameters" if setting.unknown_std else "")
-    if not wrong and setting.field is None:
-        return np.linalg.inv(bandwidth.chain_of(setting.model, where, 2).O)
-    if not wrong and not _is_position_and_rate(setting):
+    wrong = "a plant that is given by its step" if context.successor is not None else ""
+    wrong = wrong or (f"{len(context.unknown_std)} unknown inputs or parameters" if context.unknown_std else "")
+    if not wrong and context.field is None:
+        return np.linalg.inv(bandwidth.chain_of(context.model, where, 2).O)
+    if not wrong and not _is_position_and_rate(context):
         wrong = "a nonlinear plant whose states are not the output and its derivative"
     if wrong:
         raise UserError(
@@ -126,30 +126,30 @@ def coordinates(setting: DesignContext, where: str) -> np.ndarray:
     return np.eye(2)
 
 
-def _is_position_and_rate(setting: DesignContext) -> bool:
+def _is_position_and_rate(context: DesignContext) -> bool:
     """Return whether x = (y, y'), tested at a few states and inputs."""
-    n, m = setting.model.B.shape
-    if n != 2 or len(setting.model.C) != 1:
+    n, m = context.model.B.shape
+    if n != 2 or len(context.model.C) != 1:
         return False
     for z in np.random.default_rng(0).normal(size=(4, 2 + m)):
         x, u, none = jnp.asarray(z[:2]), jnp.asarray(z[2:]), jnp.zeros(0)
-        now = Now(jnp.zeros(()), jnp.asarray(0), jnp.asarray(setting.dt), u, lambda age: u)  # noqa: B023
-        y = setting.model.C @ x if setting.sensor is None else setting.sensor(now, x, none)
-        rate = setting.field(now, x, none)  # type: ignore[misc]
+        now = Now(jnp.zeros(()), jnp.asarray(0), jnp.asarray(context.dt), u, lambda age: u)  # noqa: B023
+        y = context.model.C @ x if context.sensor is None else context.sensor(now, x, none)
+        rate = context.field(now, x, none)  # type: ignore[misc]
         if not np.allclose([y[0], rate[0]], x, rtol=1e-12, atol=1e-12):
             return False
     return True
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the gains of the source for the bound f; there is no certificate."""
-    back = coordinates(setting, f"super-twisting in {setting.scenario}")
+    back = coordinates(context, f"super-twisting in {context.scenario}")
     law = Law(
         back=back,
         k1=np.asarray(1.5 * options.f**0.5),
         k2=np.asarray(1.1 * options.f),
-        period=np.asarray(setting.period[0] * setting.dt),
+        period=np.asarray(context.period[0] * context.dt),
         explicit=np.asarray(float(options.discretization == "explicit")),
     )
-    gains = nonlinear_model.design(setting, nonlinear_model.Options(), "super-twisting", own=lambda gains: law).gains
+    gains = nonlinear_model.design(context, nonlinear_model.Options(), "super-twisting", own=lambda gains: law).gains
     return Design(gains, no_certificate(WHY))

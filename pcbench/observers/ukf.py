@@ -57,11 +57,11 @@ def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
     """Return L with L L' = P, by columns; a column without remaining variance is 0."""
     size = jnp.diagonal(P)
 
-    def column(left: Array, e: Array) -> tuple[Array, Array]:
-        each = left @ e
-        positive = e @ each > NOTHING * (e @ size)
-        out = jnp.where(positive, each / jnp.sqrt(jnp.where(positive, e @ each, 1.0)), 0.0)
-        return left - jnp.outer(out, out), out
+    def column(remainder: Array, e: Array) -> tuple[Array, Array]:
+        v = remainder @ e
+        positive = e @ v > NOTHING * (e @ size)
+        out = jnp.where(positive, v / jnp.sqrt(jnp.where(positive, e @ v, 1.0)), 0.0)
+        return remainder - jnp.outer(out, out), out
 
     # A loop, because the compiler would otherwise compute each column again for every column after it.
     return lax.scan(column, P, jnp.eye(P.shape[0]))[1].T
@@ -75,10 +75,10 @@ def spread_out(gains: Gains, state: Posterior) -> Float[Array, "points N"]:
 
 def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, Array]:
     """Return mean and covariance of propagated sigma points."""
-    own, offsets = gains.own, points[1:] - points[:1]
-    m = points[0] + own.weight * jnp.sum(offsets, axis=0)
+    params, offsets = gains.own, points[1:] - points[:1]
+    m = points[0] + params.weight * jnp.sum(offsets, axis=0)
     d, d0 = points[1:] - m[None], points[0] - m
-    return m, own.weight * jnp.sum(d[:, :, None] * d[:, None, :], axis=0) + own.centre * jnp.outer(d0, d0)
+    return m, params.weight * jnp.sum(d[:, :, None] * d[:, None, :], axis=0) + params.centre * jnp.outer(d0, d0)
 
 
 def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
@@ -96,8 +96,8 @@ def update_by_points(
         return kalman.by_slope(gains, state.mean, state.P, sensor, sample)
 
     points = spread_out(gains, state)
-    both = jnp.concatenate([points, at_points(gains, now, points)], axis=1)
-    return kalman.by_points(gains, *moments(gains, both), sample)
+    joint = jnp.concatenate([points, at_points(gains, now, points)], axis=1)
+    return kalman.by_points(gains, *moments(gains, joint), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:
@@ -117,9 +117,9 @@ OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_by_
 def points_of(options: Options, N: int, where: str) -> Points:
     """Return spread and weights for N states and unknowns; raise UserError for options without such points."""
     if options.form == "cubature":
-        if given := {"alpha", "beta", "kappa"} & options.model_fields_set:
+        if names := {"alpha", "beta", "kappa"} & options.model_fields_set:
             raise UserError(
-                f"{where}: got {min(given)} with form = 'cubature', expected it only with form = 'unscented'; leave it out."
+                f"{where}: got {min(names)} with form = 'cubature', expected it only with form = 'unscented'; leave it out."
             )
         return Points(*map(np.asarray, (np.sqrt(N), 0.5 / N, 0.0)))
     if N + options.kappa <= 0:
@@ -131,7 +131,7 @@ def points_of(options: Options, N: int, where: str) -> Points:
     return Points(*map(np.asarray, (np.sqrt(square), 0.5 / square, centre)))
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; a nonlinear model has no certificate."""
-    where = f"ukf in {setting.scenario}"
-    return nonlinear_model.design(setting, options, "ukf", lambda gains: points_of(options, len(gains.P0), where))
+    where = f"ukf in {context.scenario}"
+    return nonlinear_model.design(context, options, "ukf", lambda gains: points_of(options, len(gains.P0), where))

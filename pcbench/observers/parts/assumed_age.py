@@ -56,13 +56,13 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Correct by the arriving channels, each with its assumed age."""
     ages, C, k = gains.ages, gains.model.C, memory.run.sample
-    known = known_input(gains.model.D, now, ages * gains.model.period)
+    feedthrough = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
-        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + known[j])
-    used = arrival.mask & (k >= gains.first)
-    e = jnp.where(used, arrival.value - jnp.stack(expected), 0.0)
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + feedthrough[j])
+    is_used = arrival.mask & (k >= gains.first)
+    e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
 
 
@@ -89,19 +89,19 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
-def gains_of(setting: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, ...], back: int | None = None) -> Gains:
+def gains_of(context: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, ...], back: int | None = None) -> Gains:
     """Return the gains of xhat(k+1) = step xhat(k) + B u(k) + K e(k).
 
     With `back`, return those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
     """
     none = np.zeros_like(K)
     return Gains(
-        model=sample_rate.model_of(setting),
+        model=sample_rate.model_of(context),
         step=step,
         every=np.asarray(back or 1),
         ages=np.array(ages),
         here=K if back else none,
         next=none if back else K,
         first=np.asarray(back or 0),
-        room=np.zeros(max(setting.reach, *ages, 1)),
+        room=np.zeros(max(context.reach, *ages, 1)),
     )

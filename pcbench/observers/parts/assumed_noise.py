@@ -37,56 +37,56 @@ class Options(StrictOptions):
     )
 
 
-def covariance(given: Variances | Sizes | None, many: int, where: str, each: str) -> Matrix:
-    """Return a number, `many` numbers or rows as a matrix [many, many]; raise UserError if it is not a covariance."""
-    entries = np.asarray(given, float) if _regular(given) else np.zeros(0)
-    if entries.shape not in ((), (many,), (many, many)):
+def covariance(noise: Variances | Sizes | None, n: int, where: str, signal: str) -> Matrix:
+    """Return a number, n numbers or rows as a matrix [n, n]; raise UserError if it is not a covariance."""
+    entries = np.asarray(noise, float) if _regular(noise) else np.zeros(0)
+    if entries.shape not in ((), (n,), (n, n)):
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected {many} number{'s' if many > 1 else ''}, one for each "
-            f"{each}, or a matrix "
-            f"of {many} x {many}."
+            f"{where}: got {brief_repr(noise)}, expected {n} number{'s' if n > 1 else ''}, one for each "
+            f"{signal}, or a matrix "
+            f"of {n} x {n}."
         )
     if entries.ndim < 2:
-        return np.asarray(entries * np.eye(many))
+        return np.asarray(entries * np.eye(n))
     size = max(float(np.abs(entries).max()), 1e-300)
     if np.abs(entries - entries.T).max() > ROUNDING * size or np.linalg.eigvalsh(entries)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; "
+            f"{where}: got {brief_repr(noise)}, expected a covariance: symmetric, with no eigenvalue below 0; "
             "correct its entries."
         )
     return entries
 
 
-def _regular(given: Variances | Sizes | None) -> bool:
+def _regular(noise: Variances | Sizes | None) -> bool:
     """Return whether all rows have the same length."""
-    rows = [len(row) if isinstance(row, list) else 0 for row in given] if isinstance(given, list) else []
+    rows = [len(row) if isinstance(row, list) else 0 for row in noise] if isinstance(noise, list) else []
     return len(set(rows)) < 2
 
 
 def independent(
-    setting: DesignContext, given: Variances | Sizes | None, C: Matrix, where: str
+    context: DesignContext, noise: Variances | Sizes | None, C: Matrix, where: str
 ) -> tuple[Matrix | None, Matrix, Matrix]:
-    """Return outputs with independent noise, for the assumed noise `given` (None: the scenario's).
+    """Return outputs with independent noise, for the assumed `noise` (None: the scenario's).
 
     The results are the matrix [q, q] from outputs to such outputs (None: identity), their C [q, n], and their variances [q].
 
-    Raises UserError if `given` does not fit, is singular, or correlates outputs that are not sampled together.
+    Raises UserError if `noise` does not fit, is singular, or correlates outputs that are not sampled together.
     """
-    if given is None and setting.noise_correlation:
-        given = setting.noise_covariance.tolist()
-    if given is None:
-        return None, C, setting.noise_variance
-    R = covariance(given, len(C), f"{where}: R", "output")
+    if noise is None and context.noise_correlation:
+        noise = context.noise_covariance.tolist()
+    if noise is None:
+        return None, C, context.noise_variance
+    R = covariance(noise, len(C), f"{where}: R", "output")
     if not np.any(R - np.diag(np.diag(R))) and np.all(np.diag(R) > 0):
         return None, C, np.diag(R).copy()
     try:
         L = np.linalg.cholesky(R)
     except np.linalg.LinAlgError:
         raise UserError(
-            f"{where}: R: got {brief_repr(given)}, expected every eigenvalue above 0: an output without noise "
+            f"{where}: R: got {brief_repr(noise)}, expected every eigenvalue above 0: an output without noise "
             "would be divided by 0."
         ) from None
-    if setting.sensors > 1 or len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
+    if context.sensors > 1 or len(set(context.period)) > 1 or len(set(context.delay)) > 1:
         raise UserError(
             f"{where}: R: got noise that is correlated between outputs, expected outputs with one period, delay and network, "
             "which are sampled together; give a number for each."
@@ -95,19 +95,19 @@ def independent(
     return mix, mix @ C, np.square(np.diag(L))
 
 
-def process(setting: DesignContext, given: Variances | Sizes | None, where: str) -> Matrix:
-    """Return the covariance [n, n] of the process noise of a tick: `given`, or the scenario's if None."""
-    n = len(setting.model.A)
-    return setting.process_noise if given is None else covariance(given, n, f"{where}: Q", "state")
+def process(context: DesignContext, noise: Variances | Sizes | None, where: str) -> Matrix:
+    """Return the covariance [n, n] of the process noise of a tick: `noise`, or the scenario's if None."""
+    n = len(context.model.A)
+    return context.process_noise if noise is None else covariance(noise, n, f"{where}: Q", "state")
 
 
-def through(given: Variances | Sizes | None, inputs: int, default: float, where: str) -> Any:
+def through(intensity: Variances | Sizes | None, inputs: int, default: float, where: str) -> Any:
     """Return the intensity of process noise through the input, a number or one for each input [m]."""
-    if not isinstance(given, list):
-        return default if given is None else given
-    if len(given) != inputs:
-        raise UserError(f"{where}: q: got {brief_repr(given)}, expected a number, or {inputs}, one for each input.")
-    return np.array(given, float)
+    if not isinstance(intensity, list):
+        return default if intensity is None else intensity
+    if len(intensity) != inputs:
+        raise UserError(f"{where}: q: got {brief_repr(intensity)}, expected a number, or {inputs}, one for each input.")
+    return np.array(intensity, float)
 
 
 def option(name: str, Q: Matrix) -> dict[str, Any]:

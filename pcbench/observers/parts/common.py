@@ -29,12 +29,12 @@ def xhat(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     return memory.xhat
 
 
-def select_memory(which: Array, after: State, before: State) -> State:
-    """Return the memory `after` an event if any of `which` is True, else the one `before`."""
-    condition = jnp.any(which)
+def select_memory(mask: Array, after: State, before: State) -> State:
+    """Return the memory `after` an event if any of `mask` is True, else the one `before`."""
+    condition = jnp.any(mask)
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), after, before)
 
 
-def whole_if_large(P: Array, f: Callable[..., Any]) -> Callable[..., Any]:
+def vmap_large_as_unit(P: Array, f: Callable[..., Any]) -> Callable[..., Any]:
     """Return f, marked by `vmap_as_unit` if P is large: vectorized entry by entry, it would compile for minutes."""
     return vmap_as_unit(f) if P.size >= LARGE else f

@@ -69,37 +69,37 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick, with u and c held."""
     n = memory.xhat.shape[0]
     if gains.field is None:
-        both = jnp.concatenate([memory.xhat, memory.al])
-        both = gains.Phi @ both + gains.Gamma @ jnp.concatenate([now.u, memory.c])
-        return memory._replace(xhat=both[:n], al=both[n:])
+        joint = jnp.concatenate([memory.xhat, memory.al])
+        joint = gains.Phi @ joint + gains.Gamma @ jnp.concatenate([now.u, memory.c])
+        return memory._replace(xhat=joint[:n], al=joint[n:])
 
     def rate(t: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         g = memory.c - state[1]
         return gains.field(now._replace(t=t), state[0], gains.unknowns) + gains.L @ g, gains.W @ g
 
-    moved, al = rk4(rate, now.t, (memory.xhat, memory.al), now.dt)
-    return memory._replace(xhat=moved, al=al)
+    xhat, al = rk4(rate, now.t, (memory.xhat, memory.al), now.dt)
+    return memory._replace(xhat=xhat, al=al)
 
 
 OBSERVER = Observer(init, snapshot, jump, flow, xhat)
 
 
-def require_continuous(setting: DesignContext, where: str) -> None:
+def require_continuous(context: DesignContext, where: str) -> None:
     """Raise UserError unless the plant is continuous and its outputs are linear in the state."""
-    if setting.model.discrete or setting.successor or setting.sensor or setting.residual:
+    if context.model.discrete or context.successor or context.sensor or context.residual:
         raise UserError(
             f"{where}: got a plant in discrete time or with a nonlinear output, expected a continuous plant with outputs "
             "that are linear in the state; use kf or ekf."
         )
 
 
-def gains_of(setting: DesignContext, L: Matrix, W: Matrix) -> Gains:
+def gains_of(context: DesignContext, L: Matrix, W: Matrix) -> Gains:
     """Return the gains for L [n, q] and W [q, q]."""
-    model, (n, q) = setting.model, L.shape
+    model, (n, q) = context.model, L.shape
     m = model.B.shape[1]
     A = np.block([[model.A, -L], [np.zeros((q, n)), -W]])
     B = np.block([[model.B, L], [np.zeros((q, m)), W]])
-    Phi, Gamma = linear.discretize_zoh(A, B, setting.dt)
+    Phi, Gamma = linear.discretize_zoh(A, B, context.dt)
     return Gains(
         Phi=Phi,
         Gamma=Gamma,
@@ -107,6 +107,6 @@ def gains_of(setting: DesignContext, L: Matrix, W: Matrix) -> Gains:
         D=model.feedthrough,
         L=L,
         W=W,
-        unknowns=np.array(setting.unknown0, float),
-        field=setting.field,
+        unknowns=np.array(context.unknown0, float),
+        field=context.field,
     )

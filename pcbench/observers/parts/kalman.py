@@ -123,12 +123,12 @@ def by_points(
     return mean[:N], J[:N, :N], total
 
 
-def certificate(gains: PyTree, model: linear.Model, Q: Matrix, setting: DesignContext) -> Certificate:
+def certificate(gains: PyTree, model: linear.Model, Q: Matrix, context: DesignContext) -> Certificate:
     """Return the certificate; its margin is the least innovation variance over the horizon relative to R, NaN unless P >= 0."""
-    bits = linear.bits_for(setting.ticks)
-    doubled = linear.doublings(model, setting.dt, bits)
-    noise = linear.noise_doublings(model, Q, setting.dt, bits)
-    run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
+    bits = linear.bits_for(context.ticks)
+    binary_maps = linear.doublings(model, context.dt, bits)
+    noise = linear.noise_doublings(model, Q, context.dt, bits)
+    run = riccati.multirate(binary_maps, noise, gains.C, gains.R, gains.P0, context.period, context.ticks)
     numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
     margin = run.innovation if run.least > -1e-9 else float("nan")
     return Certificate("c P c' + r > 0 and P >= 0 at every sample", margin, "recursion", "run", numbers)

@@ -95,18 +95,18 @@ def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
 def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
     free, P, _ = predict_posterior(gains, before, sample.taken)
-    value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
+    value, rejections, n = value_of(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
     rows = kalman.wide(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, mask = rows[channel], R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
-        used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
-        K = kalman.gain(P @ c, c @ P @ c + r, used)
+        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
+        K = kalman.gain(P @ c, c @ P @ c + r, is_used)
         free = free + K * nu
         P = kalman.covariance(P, K, c, r)
-        left_out.append(out)
-    return robust_update.after(before, free, P, sample.taken, left_out)
+        rejections.append(out)
+    return robust_update.after(before, free, P, sample.taken, rejections)
 
 
 def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
@@ -148,8 +148,8 @@ def point(after: Known) -> Point:
     return Point(after.mean, after.taken)
 
 
-use = prediction.using(update, point)
-jump = prediction.jumping(update, point)
+use = prediction.make_use(update, point)
+jump = prediction.make_jump(update, point)
 
 
 def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
@@ -205,37 +205,37 @@ FILTER = Observer(
 
 
 def design(
-    setting: DesignContext,
+    context: DesignContext,
     options: Options,
     name: str,
     room: Room | None = None,
     own: PyTree = (),
-    unproven: str = "",
-    guarded: PyTree = (),
+    reason: str = "",
+    guard: PyTree = (),
     restarts: bool = True,
 ) -> Design:
     """Return the assumptions, certified by the covariance recursion over the horizon at the (mean) periods.
 
-    `unproven` is the reason why that recursion is not a certificate of this observer. `restarts` is that of
+    `reason` is why that recursion is not a certificate of this observer. `restarts` is that of
     `prediction.motion_of`.
     """
-    where = f"{name} in {setting.scenario}"
-    require_detectable(setting.model, where)
-    model, P0, n = setting.model, setting.P0, len(setting.model.A)
+    where = f"{name} in {context.scenario}"
+    require_detectable(context.model, where)
+    model, P0, n = context.model, context.P0, len(context.model.A)
     if options.bias_variance is not None:
         model, m = linear.with_input_bias(model), model.B.shape[1]
         P0 = np.block([[P0, np.zeros((n, m))], [np.zeros((m, n)), options.bias_variance * np.eye(m)]])
-    q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
+    q = assumed_noise.through(options.q, model.B.shape[1], context.input_intensity, where)
     inputs = np.zeros(0)
     if model.E is not None and options.input_walk:
-        size = np.square(setting.unknown_std[: model.E.shape[1]])
+        size = np.square(context.unknown_std[: model.E.shape[1]])
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
-    mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
-    moves = prediction.motion_of(model, setting, restarts)
-    Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
-    Q[:n, :n] += assumed_noise.process(setting, options.Q, where)
-    noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
+    mix, C, R = assumed_noise.independent(context, options.R, model.C, where)
+    moves = prediction.motion_of(model, context, restarts)
+    Q = linear.input_noise(model, q, context.dt, options.input_walk * inputs)
+    Q[:n, :n] += assumed_noise.process(context, options.Q, where)
+    noise = linear.noise_powers(model, Q, context.dt, context.ticks)
     gains = Gains(
         motion=moves,
         noise=noise,
@@ -244,18 +244,18 @@ def design(
         R=R,
         mix=mix,
         P0=P0,
-        room=setting.room if room is None else room,
+        room=context.room if room is None else room,
         states=np.zeros(n),
-        inputs=np.zeros(len(inputs) if len(inputs) == len(setting.unknown_std) else 0),  # all unknown inputs, or none
-        known=setting.model.known if len(inputs) else None,
+        inputs=np.zeros(len(inputs) if len(inputs) == len(context.unknown_std) else 0),  # all unknown inputs, or none
+        known=context.model.known if len(inputs) else None,
         own=own(model) if callable(own) else own,
-        guard=guarded,
+        guard=guard,
     )
     carries = True if len(inputs) else None
-    given = assumed_noise.option("Q", assumed_noise.process(setting, options.Q, where))
-    if unproven:
-        proof = no_certificate(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
+    Q_numbers = assumed_noise.option("Q", assumed_noise.process(context, options.Q, where))
+    if reason:
+        proof = no_certificate(reason)._replace(numbers={"R": gains.R, "q": q, **Q_numbers})
         return Design(gains, proof, carries)
-    proof = kalman.certificate(gains, model, Q, setting)
-    proof = proof._replace(numbers={**proof.numbers, "q": q, **given})
+    proof = kalman.certificate(gains, model, Q, context)
+    proof = proof._replace(numbers={**proof.numbers, "q": q, **Q_numbers})
     return Design(gains, require_certified(proof, where), carries)

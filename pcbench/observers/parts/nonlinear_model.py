@@ -96,29 +96,29 @@ def step_augmented(successor: Model, room: Room, now: Now, z: Array) -> Array:
     return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
 
 
-def moved_slope(successor: Model, room: Room, now: Now, z: Array) -> Array:
+def augmented_jacobian(successor: Model, room: Room, now: Now, z: Array) -> Array:
     """Return the Jacobian of `step_augmented`."""
     return jax.jacfwd(lambda z: step_augmented(successor, room, now, z))(z)
 
 
 def disturbed_derivative(
-    A: Array, B: Array, E: Array, known: Callable[[Array], Array], now: Now, x: Array, p: Array
+    A: Array, B: Array, E: Array, known_part: Callable[[Array], Array], now: Now, x: Array, p: Array
 ) -> Array:
     """Return dx/dt of a linear model with the unknown input f = known(x) + p."""
-    return A @ x + B @ now.u + E @ (known(x) + p)
+    return A @ x + B @ now.u + E @ (known_part(x) + p)
 
 
-def motion_of(setting: DesignContext) -> tuple[Partial, Partial]:
+def motion_of(context: DesignContext) -> tuple[Partial, Partial]:
     """Return two functions of (now, z): z one tick later, and the Jacobian of the tick."""
-    model, room = setting.model, np.zeros(len(setting.unknown_std))
-    if setting.successor is not None:
-        after = setting.successor
-        return Partial(step_augmented, after, room), Partial(moved_slope, after, room)
-    if setting.field is None and (model.E is None or model.known is None):
-        augmented = linear.with_unknown_input(model) if model.E is not None else model
-        Phi, Gamma = linear.one_tick(augmented, setting.dt)
+    model, room = context.model, np.zeros(len(context.unknown_std))
+    if context.successor is not None:
+        after = context.successor
+        return Partial(step_augmented, after, room), Partial(augmented_jacobian, after, room)
+    if context.field is None and (model.E is None or model.known is None):
+        joint_model = linear.with_unknown_input(model) if model.E is not None else model
+        Phi, Gamma = linear.one_tick(joint_model, context.dt)
         return Partial(affine, Phi, Gamma), Partial(constant, Phi)
-    field = setting.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.known)
+    field = context.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.known)
     return Partial(step, field, room), Partial(slope, field, room)
 
 
@@ -146,11 +146,11 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         (z, P), past = carry, at(now, k)
-        F, moved, Q = gains.slope(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
+        F, z_next, Q = gains.slope(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
         if copies:
             F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(copies)), jnp.pad(Q, (0, copies))
-            moved = jnp.concatenate([moved, z[N:]])
-        return moved, F @ P @ F.T + Q
+            z_next = jnp.concatenate([z_next, z[N:]])
+        return z_next, F @ P @ F.T + Q
 
     return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
 
@@ -191,47 +191,47 @@ def at_points(gains: Gains, there: Now, points: Float[Array, "S N"]) -> Float[Ar
     """Return a sensor's output at several z; outputs that wrap are within half a turn of the first one's."""
     n = gains.C.shape[1]
     y = jax.vmap(lambda z: gains.sensor(there, z[:n], z[n:]))(points)
-    return jax.vmap(lambda each: nearest(gains, each, value_of(gains, y[0])))(y)
+    return jax.vmap(lambda y_i: nearest(gains, y_i, value_of(gains, y[0])))(y)
 
 
 def design(
-    setting: DesignContext,
+    context: DesignContext,
     options: Options,
     name: str,
     own: Callable[[Gains], PyTree] = lambda gains: (),
     guard: PyTree = (),
 ) -> Design:
     """Return a filter's assumptions, and by `own` the parameters of one observer; there is no certificate."""
-    n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
-    motion, tangent = motion_of(setting)
-    size = np.square(setting.unknown_std)
+    n, s, where = len(context.model.A), len(context.unknown_std), f"{name} in {context.scenario}"
+    motion, tangent = motion_of(context)
+    size = np.square(context.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
-    P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
-    q = assumed_noise.through(options.q, setting.model.B.shape[1], setting.input_intensity, where)
-    process = assumed_noise.process(setting, options.Q, where)
-    Q[:n, :n] = process + linear.input_noise(setting.model, q, setting.dt)
-    Q[n:, n:] = np.diag(options.walk * size * setting.dt)
-    mix, C, R = assumed_noise.independent(setting, options.R, setting.model.C, where)
-    low, high = np.array(setting.unknown_range).T.reshape(2, s)
+    P0[:n, :n], P0[n:, n:] = context.P0, np.diag(size)
+    q = assumed_noise.through(options.q, context.model.B.shape[1], context.input_intensity, where)
+    process = assumed_noise.process(context, options.Q, where)
+    Q[:n, :n] = process + linear.input_noise(context.model, q, context.dt)
+    Q[n:, n:] = np.diag(options.walk * size * context.dt)
+    mix, C, R = assumed_noise.independent(context, options.R, context.model.C, where)
+    low, high = np.array(context.unknown_range).T.reshape(2, s)
     gains = Gains(
         motion=motion,
         slope=tangent,
-        sensor=setting.sensor,
+        sensor=context.sensor,
         C=C,
-        D=setting.model.feedthrough
-        * (setting.sensor is None),  # the output of a sensor function includes the input's part
+        D=context.model.feedthrough
+        * (context.sensor is None),  # the output of a sensor function includes the input's part
         R=R,
         mix=mix,
         Q=Q,
         P0=P0,
-        start=np.array(setting.unknown0, float),
+        start=np.array(context.unknown0, float),
         low=low,
         high=high,
-        room=setting.room,
+        room=context.room,
         guard=guard,
-        residual=setting.residual,
+        residual=context.residual,
     )
     numbers = {"R": R, **assumed_noise.option("Q", process)}
-    why = "none: the model is nonlinear, or linearised at the estimate"
-    proof = Certificate(why, float("inf"), "none", "not needed", numbers)
-    return Design(gains._replace(own=own(gains)), proof, True if setting.model.E is not None else None)
+    inequality = "none: the model is nonlinear, or linearised at the estimate"
+    proof = Certificate(inequality, float("inf"), "none", "not needed", numbers)
+    return Design(gains._replace(own=own(gains)), proof, True if context.model.E is not None else None)

@@ -53,14 +53,14 @@ def extra(field: FieldInfo) -> dict[str, Any]:
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
-def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str, what: str) -> Matrix:
-    """Return a gain as a matrix; raise UserError unless it has the shape `shape`, described by `what`."""
+def matrix(value: float | list[list[float]], shape: tuple[int, int], where: str, dimensions: str) -> Matrix:
+    """Return a gain as a matrix; raise UserError unless it has the shape `shape`, described by `dimensions`."""
     try:
-        entries = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
+        entries = np.full((1, 1), value) if isinstance(value, float) else np.array(value, float)
     except ValueError:
         entries = np.zeros(0)
     if entries.shape != shape:
-        raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: {what}.")
+        raise UserError(f"{where}: got {value}, expected a matrix of shape {list(shape)}: {dimensions}.")
     return entries
 
 

@@ -73,9 +73,9 @@ def snapshot(gains: Gains, memory: PyTree, now: Now) -> Float[Array, " n"]:
 def flow(gains: Gains, memory: PyTree, now: Now) -> PyTree:
     """Advance a memory with g, xhat and tick by one tick under the held input, as pccebo's (12)."""
     motion: Motion = gains.motion
-    pushed = motion.Gamma @ now.u
-    g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + pushed
-    return memory._replace(g=g, xhat=motion.Phi @ memory.xhat + pushed, tick=memory.tick + 1)
+    increment = motion.Gamma @ now.u
+    g = memory.g if motion.restarts is not None else motion.Phi @ memory.g + increment
+    return memory._replace(g=g, xhat=motion.Phi @ memory.xhat + increment, tick=memory.tick + 1)
 
 
 def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
@@ -101,56 +101,58 @@ def responses(motion: Motion, now: Now, since: Int[Array, ""], ticks: Int[Array,
 
 
 def restart(
-    motion: Motion, memory: Memory, now: Now, arrived: Measurement, since: Int[Array, ""]
+    motion: Motion, memory: Memory, now: Now, measurement: Measurement, since: Int[Array, ""]
 ) -> tuple[Memory, Measurement]:
     """Return memory and sample with g from zero at tick `since`, the oldest sample that may be used again, if g restarts."""
     if motion.restarts is None:
-        return memory, arrived
-    before, kept = memory.buffer
-    ticks = jnp.concatenate([arrived.taken[None], kept.taken, jnp.asarray(now.tick)[None]])
+        return memory, measurement
+    before, samples = memory.buffer
+    ticks = jnp.concatenate([measurement.taken[None], samples.taken, jnp.asarray(now.tick)[None]])
     g = responses(motion, now, since, ticks)
-    buffer = Buffer(before, kept._replace(snapshot=g[1:-1]))
-    return memory._replace(g=g[-1], buffer=buffer), arrived._replace(snapshot=g[0])
+    buffer = Buffer(before, samples._replace(snapshot=g[1:-1]))
+    return memory._replace(g=g[-1], buffer=buffer), measurement._replace(snapshot=g[0])
 
 
-def moved(state: PyTree, by: Float[Array, " n"]) -> PyTree:
+def shift_estimates(state: PyTree, by: Float[Array, " n"]) -> PyTree:
     """Return a state with `by` added to its estimates of one tick."""
     if hasattr(state, "point"):
-        return state._replace(point=moved(state.point, by))
+        return state._replace(point=shift_estimates(state.point, by))
     estimates = {name: getattr(state, name) for name in ("free", "mean", "z") if hasattr(state, name)}
-    columns = {name: each + by.reshape(-1, *[1] * (each.ndim - 1)) for name, each in estimates.items()}
+    columns = {name: value + by.reshape(-1, *[1] * (value.ndim - 1)) for name, value in estimates.items()}
     return state._replace(**columns)
 
 
-def using(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Measurement], Memory]:
+def make_use(
+    update: Update, point_of: Callable[[PyTree], Point]
+) -> Callable[[Gains, Memory, Now, Measurement], Memory]:
     """Return a function that uses a sample, for an observer with the recursion `update` (gains, state, sample).
 
     It propagates the state to the sample, in the order of sampling, and the newest estimate to the present.
     """
 
-    def use(gains: Gains, memory: Memory, now: Now, arrived: Measurement) -> Memory:
+    def use(gains: Gains, memory: Memory, now: Now, measurement: Measurement) -> Memory:
         since = point_of(memory.buffer.before).taken
-        memory, arrived = restart(gains.motion, memory, now, arrived, since)
-        buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, arrived)
+        memory, measurement = restart(gains.motion, memory, now, measurement, since)
+        buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, measurement)
         free = at(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
         after = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
-        return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, arrived)
+        return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, measurement)
 
-    def stop(memory: Memory, kept: Measurement, arrived: Measurement) -> Memory:
+    def stop(memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
         """Return the memory with g removed from the state before the samples; g starts again there."""
         before = memory.buffer.before
-        ticks = jnp.append(kept.taken, arrived.taken)
+        ticks = jnp.append(samples.taken, measurement.taken)
         same = ticks == point_of(before).taken
-        g = jnp.concatenate([kept.snapshot, arrived.snapshot[None]])[jnp.argmax(same)]
-        before = moved(before, jnp.where(jnp.any(same), g, 0.0))
+        g = jnp.concatenate([samples.snapshot, measurement.snapshot[None]])[jnp.argmax(same)]
+        before = shift_estimates(before, jnp.where(jnp.any(same), g, 0.0))
         return memory._replace(g=jnp.zeros_like(memory.g), buffer=memory.buffer._replace(before=before))
 
     return use
 
 
-def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Arrival], Memory]:
+def make_jump(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Gains, Memory, Now, Arrival], Memory]:
     """Return the jump of such an observer, which uses a sample at its sampling time."""
-    use = using(update, point_of)
+    use = make_use(update, point_of)
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         return use(gains, memory, now, reorder_buffer.sample_of(now, arrival, gains.D))
@@ -158,10 +160,10 @@ def jumping(update: Update, point_of: Callable[[PyTree], Point]) -> Callable[[Ga
     return jump
 
 
-def motion_of(model: linear.Model, setting: DesignContext, restarts: bool = True) -> Motion:
+def motion_of(model: linear.Model, context: DesignContext, restarts: bool = True) -> Motion:
     """Return a model's motion in NumPy, for every age up to the horizon; `restarts`: whether g may restart in a loop."""
-    Phi, Gamma = linear.one_tick(model, setting.dt)
+    Phi, Gamma = linear.one_tick(model, context.dt)
     with np.errstate(over="ignore"):
-        grows = np.max(np.abs(np.linalg.eigvals(Phi))) ** setting.ticks > LARGEST_GROWTH
-    restart_g = () if restarts and setting.in_loop and grows else None
-    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks), restart_g)
+        grows = np.max(np.abs(np.linalg.eigvals(Phi))) ** context.ticks > LARGEST_GROWTH
+    restart_g = () if restarts and context.in_loop and grows else None
+    return Motion(Phi, Gamma, linear.powers(model, context.dt, context.ticks), restart_g)

@@ -45,10 +45,12 @@ class Buffer(NamedTuple):
 Update = Callable[[PyTree, Measurement], PyTree]  # (state, sample) -> state at the sample's tick
 
 
-def start(state: PyTree, room: Room, outputs: int, noted: int) -> Buffer:
+def start(state: PyTree, room: Room, outputs: int, snapshot_size: int) -> Buffer:
     """Return an empty buffer with room for K samples."""
     K = room.shape[0]
-    empty = Measurement(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
+    empty = Measurement(
+        jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, snapshot_size))
+    )
     return Buffer(state, empty)
 
 
@@ -59,22 +61,22 @@ def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     return Measurement(now.tick - age, value, arrival.mask, arrival.snapshot, arrival.variance_ratio)
 
 
-def kept_of(sample: Measurement) -> Measurement:
+def zero_missing(sample: Measurement) -> Measurement:
     """Return a sample for the buffer, with 0 for channels that did not arrive."""
     return sample._replace(value=jnp.where(sample.mask, sample.value, 0.0))
 
 
-def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, PyTree]:
+def replay(update: Update, buffer: Buffer, measurement: Measurement) -> tuple[Buffer, PyTree]:
     """Return the buffer with the arriving sample inserted, and the state after the newest sample."""
     if (oldest := getattr(buffer.before, "taken", None)) is not None:
-        arrived = arrived._replace(taken=within_room(arrived.taken, arrived.taken >= oldest))
+        measurement = measurement._replace(taken=within_room(measurement.taken, measurement.taken >= oldest))
     if not buffer.samples.taken.shape[0]:
-        state = update(buffer.before, arrived)
+        state = update(buffer.before, measurement)
         return Buffer(state, buffer.samples), state
-    entries, kept = _merge_sample(buffer.samples, arrived)
+    entries, newest_samples = _merge_sample(buffer.samples, measurement)
     newest, states = _through(update, buffer.before, entries)
-    leaving = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states)  # the oldest of K + 1
-    return Buffer(leaving, kept), newest
+    before = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states)  # the oldest of K + 1
+    return Buffer(before, newest_samples), newest
 
 
 def newest(update: Update, buffer: Buffer) -> PyTree:
@@ -82,21 +84,23 @@ def newest(update: Update, buffer: Buffer) -> PyTree:
     return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.taken.shape[0] else buffer.before
 
 
-def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Measurement) -> PyTree:
+def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: Measurement) -> PyTree:
     """Return the state after the newest sample, extended by a copy of the state at the sampling tick of an arriving sample.
 
     `copy` (state, sample) makes the copy, after the samples up to that tick and before newer ones. All samples that have
     arrived correct the copy, so it predicts the arriving sample. If the model is true, the innovations in the order of
     arrival are independent.
     """
-    entries, _ = _merge_sample(buffer.samples, arrived)
-    place = jnp.sum(buffer.samples.taken <= arrived.taken)
+    entries, _ = _merge_sample(buffer.samples, measurement)
+    place = jnp.sum(buffer.samples.taken <= measurement.taken)
 
     def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
         i, sample = row
-        used, copied = update(state, sample), copy(state, sample)
-        filled, here = jnp.any(sample.mask), i == place
-        return jax.tree.map(lambda a, b, c: jnp.where(here, a, jnp.where(filled, b, c)), copied, used, state), None
+        posterior, with_copy = update(state, sample), copy(state, sample)
+        has_sample, here = jnp.any(sample.mask), i == place
+        return jax.tree.map(
+            lambda a, b, c: jnp.where(here, a, jnp.where(has_sample, b, c)), with_copy, posterior, state
+        ), None
 
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
 
@@ -105,28 +109,28 @@ def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTr
     """Return the state after samples in order, and the states after each of them; an empty place does not change the state."""
 
     def step(state: PyTree, sample: Measurement) -> tuple[PyTree, PyTree]:
-        filled = jnp.any(sample.mask)
-        new = jax.tree.map(lambda a, b: jnp.where(filled, a, b), update(state, sample), state)
+        has_sample = jnp.any(sample.mask)
+        new = jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), update(state, sample), state)
         return new, new
 
     return lax.scan(step, before, entries)
 
 
-def _merge_sample(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
+def _merge_sample(samples: Measurement, measurement: Measurement) -> tuple[Measurement, Measurement]:
     """Return K samples and a new one in the order of sampling, [K + 1], and the newest K of them.
 
     All runs merge as a unit, because a program that does so entry by entry would grow with K.
     """
 
-    def merge(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
-        later = samples.taken > arrived.taken
+    def merge(samples: Measurement, measurement: Measurement) -> tuple[Measurement, Measurement]:
+        later = samples.taken > measurement.taken
         stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
 
-        def one(a: Array, b: Array) -> Array:
+        def merge_leaf(a: Array, b: Array) -> Array:
             s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
             return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
 
-        merged = jax.tree.map(one, samples, arrived)
-        return merged, jax.tree.map(lambda a: a[1:], merged)
+        entries = jax.tree.map(merge_leaf, samples, measurement)
+        return entries, jax.tree.map(lambda a: a[1:], entries)
 
-    return vmap_as_unit(merge)(samples, arrived)
+    return vmap_as_unit(merge)(samples, measurement)

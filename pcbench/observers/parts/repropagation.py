@@ -53,13 +53,13 @@ def observer(way: Way) -> Observer:
     """Return the observer with these functions."""
 
     def propagate(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
-        moved = lax.fori_loop(state.taken, until, lambda k, s: way.tick(gains, at(now, k), s), state)
-        return moved._replace(taken=until)
+        end = lax.fori_loop(state.taken, until, lambda k, s: way.tick(gains, at(now, k), s), state)
+        return end._replace(taken=until)
 
     def use(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
-            predicted = propagate(gains, now, before, sample.taken)
-            return way.update(gains, at(now, sample.taken), predicted, sample)
+            prior = propagate(gains, now, before, sample.taken)
+            return way.update(gains, at(now, sample.taken), prior, sample)
 
         return update
 
@@ -71,22 +71,22 @@ def observer(way: Way) -> Observer:
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Insert the arriving sample in order of sampling, and propagate the newest state to the present."""
 
-        def moved(memory: Memory, arrival: Arrival) -> Memory:
-            sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
+        def apply(memory: Memory, arrival: Arrival) -> Memory:
+            sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
             buffer, newest = reorder_buffer.replay(use(gains, now), memory.buffer, sample)
             present = propagate(gains, now, newest, now.tick)
             return Memory(buffer, present, way.mean(gains, present))
 
-        return vmap_as_unit(moved)(memory, arrival)
+        return vmap_as_unit(apply)(memory, arrival)
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         """Propagate the present state by one tick."""
 
-        def moved(state: State) -> tuple[State, Array]:
+        def advance(state: State) -> tuple[State, Array]:
             later = way.tick(gains, now, state)
             return later, way.mean(gains, later)
 
-        later, z = vmap_as_unit(moved)(memory.now)
+        later, z = vmap_as_unit(advance)(memory.now)
         return memory._replace(now=later._replace(taken=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
@@ -100,14 +100,14 @@ def observer(way: Way) -> Observer:
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample; empty if it is older than the newest sample."""
 
-        def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
+        def score(memory: Memory, arrival: Arrival) -> InnovationStats:
             before = reorder_buffer.newest(use(gains, now), memory.buffer)
-            sample = reorder_buffer.kept_of(reorder_buffer.sample_of(now, arrival, gains.D))
-            judged_sample = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
+            sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
+            newest_sample = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
             return way.expected(
-                gains, at(now, sample.taken), propagate(gains, now, before, sample.taken), judged_sample
+                gains, at(now, sample.taken), propagate(gains, now, before, sample.taken), newest_sample
             )
 
-        return vmap_as_unit(judged)(memory, arrival)
+        return vmap_as_unit(score)(memory, arrival)
 
     return Observer(init, no_snapshot, jump, flow, estimate, covariance=covariance, innovation=innovation)

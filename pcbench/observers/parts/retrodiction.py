@@ -86,20 +86,20 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     there = linear_filter.predict_posterior(gains, before, sample.taken)
     P = jnp.where(same_tick, memory.last.P, there.P)
     u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
-    value, known, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
+    value, mean, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
         b = c - U @ (P @ c)
         s = c @ P @ b + R[channel]
-        nu = value[channel] - c @ (sample.snapshot + known + P @ u)
+        nu = value[channel] - c @ (sample.snapshot + mean + P @ u)
         u = u + jnp.where(mask, b * nu / s, 0.0)
         U = U + jnp.where(mask, jnp.outer(b, b) / s, 0.0)
     new = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
-    def shifted(past: Array, one: Array) -> Array:
-        return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
+    def shift(past: Array, entry: Array) -> Array:
+        return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(entry, (1, *past.shape[1:]))]))
 
-    past = Past(*(shifted(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
+    past = Past(*(shift(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
 
 
@@ -141,20 +141,20 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         old = select_memory(
             is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
         )
-        reached = sample.taken >= memory.past.taken[0]
+        is_stored = sample.taken >= memory.past.taken[0]
         new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
-        memory = select_memory(is_older, select_memory(reached, old, memory), new)
+        memory = select_memory(is_older, select_memory(is_stored, old, memory), new)
         there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + there)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample that is used; empty if it is older than the stored posteriors."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
-        reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
-        older = sample._replace(mask=sample.mask & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
+        is_stored = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
+        older = sample._replace(mask=sample.mask & is_stored, taken=jnp.minimum(sample.taken, memory.posterior.taken))
         old = backward(gains, memory, older, retrodict(gains, memory, older.taken), zero)[1]
         new = linear_filter.surprise(gains, memory.posterior, sample)
-        return select_memory(reached, old, new)
+        return select_memory(is_stored, old, new)
 
     return Observer(
         init,
@@ -167,25 +167,25 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
     )
 
 
-def design(setting: DesignContext, options: linear_filter.Options, name: str, past: int, why: str) -> Design:
+def design(context: DesignContext, options: linear_filter.Options, name: str, past: int, reason: str) -> Design:
     """Return the assumptions, and the maps back in time; raise UserError for a model that is not invertible.
 
-    `past` is the number of stored posteriors. `why` is the reason for no certificate on a schedule with out-of-sequence
+    `past` is the number of stored posteriors. `reason` is why there is no certificate on a schedule with out-of-sequence
     samples.
     """
 
-    def own(model: linear.Model) -> RetrodictionParams:
+    def params_of(model: linear.Model) -> RetrodictionParams:
         A = model.A
         if model.discrete and np.linalg.cond(A) > SINGULAR:
             raise UserError(
-                f"{name} in {setting.scenario}: got a discrete model whose A is singular, expected one that can be run "
+                f"{name} in {context.scenario}: got a discrete model whose A is singular, expected one that can be run "
                 "backwards: it retrodicts; take kf or kf-cloning."
             )
         back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
         reverse = model._replace(A=back)
         with np.errstate(over="ignore", invalid="ignore"):
-            return RetrodictionParams(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
+            return RetrodictionParams(linear.powers(reverse, context.dt, context.ticks), np.zeros(past))
 
     return linear_filter.design(
-        setting, options, name, own=own, unproven=why if setting.overtaking else "", restarts=False
+        context, options, name, own=params_of, reason=reason if context.overtaking else "", restarts=False
     )

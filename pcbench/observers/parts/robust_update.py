@@ -58,7 +58,7 @@ def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
     """Return the thresholds, or () without any."""
     if gate is None and huber is None:
         return ()
-    return Guard(*(np.asarray(np.inf if each is None else each) for each in (gate, opens, huber)))
+    return Guard(*(np.asarray(np.inf if threshold is None else threshold) for threshold in (gate, opens, huber)))
 
 
 def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> Known:
@@ -66,12 +66,12 @@ def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> Known:
     return GuardedPosterior(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
-def after(before: Known, mean: Array, P: Array, taken: Array, left_out: list[Array]) -> Known:
+def after(before: Known, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> Known:
     """Return the state after a sample, of the same type as `before`."""
     return (
-        GuardedPosterior(mean, P, taken, jnp.stack(left_out))
+        GuardedPosterior(mean, P, tick, jnp.stack(rejections))
         if isinstance(before, GuardedPosterior)
-        else Posterior(mean, P, taken)
+        else Posterior(mean, P, tick)
     )
 
 

@@ -48,10 +48,10 @@ class ModelRun(NamedTuple):
     carried: Float[Array, "n n"]  # e^{A t}
 
 
-def model_of(setting: DesignContext) -> SampledModel:
+def model_of(context: DesignContext) -> SampledModel:
     """Return the model of a grid point in NumPy."""
-    Phi, Gamma = linear.one_tick(setting.model, setting.dt)
-    return SampledModel(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
+    return SampledModel(Phi, Gamma, context.model.C, context.model.feedthrough, np.asarray(context.period[0]))
 
 
 def start(xhat0: Float[Array, " n"]) -> ModelRun:
@@ -63,8 +63,8 @@ def flow(model: SampledModel, run: ModelRun, now: Now) -> tuple[ModelRun, Bool[A
     """Return the model one tick later, and whether that is a sampling tick."""
     tick = run.tick + 1
     due = tick % model.period == 0
-    carried = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.carried)
-    return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, carried), due
+    transition = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.carried)
+    return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, transition), due
 
 
 def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import no_snapshot, whole_if_large
+from pcbench.observers.parts.common import no_snapshot, vmap_large_as_unit
 from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
@@ -66,56 +66,56 @@ def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with the present covariance."""
     n, age = memory.xhat.shape[0], now.tick - memory.at
     powers = gains.motion.powers
-    own = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
+    P_now = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
     across = after(powers, age, memory.P[:n, n:])
-    P = jnp.block([[own, across], [across.T, memory.P[n:, n:]]])
+    P = jnp.block([[P_now, across], [across.T, memory.P[n:, n:]]])
     return memory._replace(P=P, at=now.tick)
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Replace the oldest clone by the present estimate."""
 
-    def cloned(memory: Memory, mask: Array) -> Memory:
+    def clone(memory: Memory, mask: Array) -> Memory:
         memory = predict_clone(gains, memory, now)
         J, n = memory.clones.shape
-        mine = jnp.arange(J) == memory.made % J
-        row = jnp.repeat(jnp.append(False, mine), n)
+        slot = jnp.arange(J) == memory.made % J
+        row = jnp.repeat(jnp.append(False, slot), n)
         wide = jnp.tile(memory.P[:n], (J + 1, 1))
         P = jnp.where(row[:, None], wide, memory.P)
         P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
-        there = jnp.any(mask)
+        is_sampled = jnp.any(mask)
         return memory._replace(
-            clones=jnp.where((mine & there)[:, None], memory.xhat, memory.clones),
-            P=jnp.where(there, P, memory.P),
-            taken=jnp.where(mine & there, now.tick, memory.taken),
-            made=memory.made + there,
+            clones=jnp.where((slot & is_sampled)[:, None], memory.xhat, memory.clones),
+            P=jnp.where(is_sampled, P, memory.P),
+            taken=jnp.where(slot & is_sampled, now.tick, memory.taken),
+            made=memory.made + is_sampled,
         )
 
-    return whole_if_large(memory.P, cloned)(memory, mask)
+    return vmap_large_as_unit(memory.P, clone)(memory, mask)
 
 
 def observer(gain: Gain) -> Observer:
     """Return the observer with this gain."""
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        def jumped(memory: Memory, arrival: Arrival) -> Memory:
+        def apply(memory: Memory, arrival: Arrival) -> Memory:
             sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
             n, P = memory.xhat.shape[0], memory.P
             z = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)])
-            mine = jnp.append(False, memory.taken == sample.taken)
-            near = jnp.repeat(mine.at[0].set(True), n)
-            value, known, R = linear_filter.value_of(gains, sample), jnp.any(mine), sample.variances(gains.R)
+            slot = jnp.append(False, memory.taken == sample.taken)
+            near = jnp.repeat(slot.at[0].set(True), n)
+            value, is_stored, R = linear_filter.value_of(gains, sample), jnp.any(slot), sample.variances(gains.R)
             for channel in range(gains.C.shape[0]):
-                c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
-                there = (mine[:, None] * c[None, :]).reshape(-1)
-                h = P @ there
-                s = there @ h + r
+                c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
+                row = (slot[:, None] * c[None, :]).reshape(-1)
+                h = P @ row
+                s = row @ h + r
                 K = jnp.where(mask, gain(h, s, near), 0.0)
-                z = z + K * (value[channel] - there @ z)
+                z = z + K * (value[channel] - row @ z)
                 P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
             return memory._replace(xhat=z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
-        return whole_if_large(memory.P, jumped)(memory, arrival)
+        return vmap_large_as_unit(memory.P, apply)(memory, arrival)
 
     return Observer(
         init,
@@ -131,23 +131,23 @@ def observer(gain: Gain) -> Observer:
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return the innovation statistics of a sample, in any order of arrival, because every sample corrects all clones."""
 
-    def judged(memory: Memory, arrival: Arrival) -> InnovationStats:
+    def score(memory: Memory, arrival: Arrival) -> InnovationStats:
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
         z, P = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)]), memory.P
-        mine = jnp.append(False, memory.taken == sample.taken)
-        value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.empty_stats()
+        slot = jnp.append(False, memory.taken == sample.taken)
+        value, is_stored, total = linear_filter.value_of(gains, sample), jnp.any(slot), kalman.empty_stats()
         R = sample.variances(gains.R)
         for channel in range(gains.C.shape[0]):
-            c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & known
-            there = (mine[:, None] * c[None, :]).reshape(-1)
-            h = P @ there
-            nu, s = value[channel] - there @ z, there @ h + r
+            c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
+            row = (slot[:, None] * c[None, :]).reshape(-1)
+            h = P @ row
+            nu, s = value[channel] - row @ z, row @ h + r
             total = kalman.add_innovation(total, nu, s, mask)
             K = kalman.gain(h, s, mask)
-            z, P = z + K * nu, kalman.covariance(P, K, there, r)
+            z, P = z + K * nu, kalman.covariance(P, K, row, r)
         return total
 
-    return whole_if_large(memory.P, judged)(memory, arrival)
+    return vmap_large_as_unit(memory.P, score)(memory, arrival)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
@@ -157,16 +157,16 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     return linear_filter.spread(gains, memory, P)
 
 
-def room(setting: DesignContext, name: str) -> Room:
+def room(context: DesignContext, name: str) -> Room:
     """Return room for a clone of every sample in transit; raise UserError for a delay error, or for too many samples."""
-    if setting.error:
+    if context.error:
         raise UserError(
-            f"{name} in {setting.scenario}: got an assumed_delay_error of {setting.error * setting.dt:g} s, expected 0: it "
+            f"{name} in {context.scenario}: got an assumed_delay_error of {context.error * context.dt:g} s, expected 0: it "
             "clones the state when a sample is taken and does not use its timestamp; leave it out, or take kf."
         )
-    if setting.flight > MOST:
+    if context.flight > MOST:
         raise UserError(
-            f"{name} in {setting.scenario}: got up to {setting.flight} samples in transit at once, expected at most {MOST}: "
+            f"{name} in {context.scenario}: got up to {context.flight} samples in transit at once, expected at most {MOST}: "
             "each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
         )
-    return np.zeros(setting.flight)
+    return np.zeros(context.flight)

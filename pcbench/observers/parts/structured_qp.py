@@ -51,24 +51,24 @@ def smooth_chain(chain: Chain) -> Float[Array, "S N"]:
     def forward(carry: tuple[Array, Array], stage: PyTree) -> tuple[tuple[Array, Array], PyTree]:
         F, b, Q, *measured = stage
         z, P = F @ carry[0] + b, F @ carry[1] @ F.T + Q
-        before, used = (z, P), []
+        before, updates = (z, P), []
         for h, y, w in zip(*measured, strict=True):
             Ph = P @ h
             part = w / (1.0 + w * (h @ Ph))  # 1 / s, or 0
             K, e = Ph * part, y - h @ z
-            used.append((K, h, e * part))
+            updates.append((K, h, e * part))
             z, P = z + K * e, kalman.covariance(P, K, h, jnp.where(w > 0, 1.0 / jnp.where(w > 0, w, 1.0), 0.0))
-        return (z, P), (before, [jnp.stack(each) for each in zip(*used, strict=True)])
+        return (z, P), (before, [jnp.stack(columns) for columns in zip(*updates, strict=True)])
 
-    def backward(ahead: Array, stage: PyTree) -> tuple[Array, Array]:
+    def backward(costate: Array, stage: PyTree) -> tuple[Array, Array]:
         ((z, P), (K, h, e)), F = stage
         for j in reversed(range(K.shape[0])):
-            ahead = ahead - h[j] * (K[j] @ ahead) + h[j] * e[j]
-        return F.T @ ahead, z + P @ ahead
+            costate = costate - h[j] * (K[j] @ costate) + h[j] * e[j]
+        return F.T @ costate, z + P @ costate
 
     N = chain.b.shape[1]
-    _, passed = lax.scan(forward, (jnp.zeros(N), jnp.zeros((N, N))), tuple(chain))
-    return lax.scan(backward, jnp.zeros(N), (passed, chain.F), reverse=True)[1]
+    _, forward_pass = lax.scan(forward, (jnp.zeros(N), jnp.zeros((N, N))), tuple(chain))
+    return lax.scan(backward, jnp.zeros(N), (forward_pass, chain.F), reverse=True)[1]
 
 
 class Point(NamedTuple):
@@ -86,24 +86,24 @@ def solve_bounded(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> F
     width = bounds.high - bounds.low
     inside = jnp.where(jnp.isfinite(width), jnp.minimum(0.1 * width, bounds.size), bounds.size)
     z = jnp.clip(guess, (bounds.low + inside)[None], (bounds.high - inside)[None])
-    bounded = [jnp.broadcast_to(jnp.isfinite(each), z.shape) for each in (bounds.low, bounds.high)]
+    is_bounded = [jnp.broadcast_to(jnp.isfinite(bound), z.shape) for bound in (bounds.low, bounds.high)]
     distances = [
-        jnp.where(*each, 1.0) for each in zip(bounded, (z - bounds.low[None], bounds.high[None] - z), strict=True)
+        jnp.where(*pair, 1.0) for pair in zip(is_bounded, (z - bounds.low[None], bounds.high[None] - z), strict=True)
     ]
-    multipliers = (jnp.where(has, FIRST / far, 0.0) for has, far in zip(bounded, distances, strict=True))
+    multipliers = (jnp.where(has, FIRST / far, 0.0) for has, far in zip(is_bounded, distances, strict=True))
     first = Point(z, *distances, *multipliers)
-    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, bounded, at), first).z
+    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, is_bounded, at), first).z
 
 
-def newton_step(chain: Chain, bounded: list[Array], at: Point) -> Point:
+def newton_step(chain: Chain, is_bounded: list[Array], at: Point) -> Point:
     """Return the point after one Newton step, shortened to stay within the bounds."""
-    (low, high), (z, s, t, l, u) = bounded, at
+    (low, high), (z, s, t, l, u) = is_bounded, at
     tau = jnp.maximum(SHARE * (jnp.sum(l * s) + jnp.sum(u * t)) / (jnp.sum(low) + jnp.sum(high)), LEAST)
     d, push = l / s + u / t, jnp.where(low, tau / s, 0.0) - jnp.where(high, tau / t, 0.0)
-    each = jnp.broadcast_to(jnp.eye(z.shape[1]), (*z.shape, z.shape[1]))
+    identity = jnp.broadcast_to(jnp.eye(z.shape[1]), (*z.shape, z.shape[1]))
     aim = smooth_chain(
         chain._replace(
-            h=jnp.concatenate([chain.h, each], axis=1),
+            h=jnp.concatenate([chain.h, identity], axis=1),
             y=jnp.concatenate([chain.y, z + push / jnp.where(d > 0, d, 1.0)], axis=1),
             w=jnp.concatenate([chain.w, d], axis=1),
         )

@@ -70,8 +70,8 @@ def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
     as arriving at the present tick at the latest.
     """
     age = jnp.max(jnp.where(arrival.mask, arrival.age, 0))  # channels that arrive together were sampled together
-    stamped = jnp.where(age < now.tick, now.tick - age + gains.mean, jnp.minimum(now.tick, gains.mean))
-    return jnp.where(gains.stamps, stamped, now.tick)
+    by_timestamp = jnp.where(age < now.tick, now.tick - age + gains.mean, jnp.minimum(now.tick, gains.mean))
+    return jnp.where(gains.stamps, by_timestamp, now.tick)
 
 
 def predict_linear(
@@ -86,39 +86,39 @@ def predict_linear(
     return lax.fori_loop(start, stop, tick, (x, P))
 
 
-def design(setting: DesignContext, options: Options, name: str) -> Gains:
+def design(context: DesignContext, options: Options, name: str) -> Gains:
     """Return the assumptions.
 
     Raises UserError for a plant with feedthrough or an unknown input, for a delay that is too long, and for channels with
     different delays if the timestamps are not used.
     """
-    where, model, dt = f"{name} in {setting.scenario}", setting.model, setting.dt
+    where, model, dt = f"{name} in {context.scenario}", context.model, context.dt
     if model.E is not None or np.any(model.feedthrough):
         raise UserError(
             f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
             f"x' = A x + B u, y = C x, in which only the delay is unknown; leave {name} out, or take kf."
         )
-    if not options.stamps and len(set(setting.delay)) > 1:
-        each = ", ".join(f"{d * dt:g}" for d in setting.delay)
+    if not options.stamps and len(set(context.delay)) > 1:
+        delays = ", ".join(f"{d * dt:g}" for d in context.delay)
         raise UserError(
-            f"{where}: got stamps = false with delays of {each} s, expected one for all channels, "
+            f"{where}: got stamps = false with delays of {delays} s, expected one for all channels, "
             "because it then assumes equal delays; leave stamps out, or give one delay."
         )
-    known = len(setting.unknown_std) == 1
-    mean = setting.unknown0[0] if known else setting.delay[0] * dt
+    is_unknown = len(context.unknown_std) == 1
+    mean = context.unknown0[0] if is_unknown else context.delay[0] * dt
     mean = mean if options.delay is None else options.delay
-    std = options.delay_std or (setting.unknown_std[0] if known else max(0.5 * mean, dt))
+    std = options.delay_std or (context.unknown_std[0] if is_unknown else max(0.5 * mean, dt))
     longest = round((options.longest or mean + 3 * std) / dt)
-    if not 1 <= longest <= min(MOST, setting.ticks):
-        most = min(MOST, setting.ticks) * dt
+    if not 1 <= longest <= min(MOST, context.ticks):
+        most = min(MOST, context.ticks) * dt
         raise UserError(
             f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {most:g} s, "
             "over which every arrival propagates; write longest, or take a longer tick."
         )
     Phi, Gamma = linear.one_tick(model, dt)
-    q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
-    Q = linear.input_noise(model, q, dt, np.zeros(0)) + assumed_noise.process(setting, options.Q, where)
-    mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
+    q = assumed_noise.through(options.q, model.B.shape[1], context.input_intensity, where)
+    Q = linear.input_noise(model, q, dt, np.zeros(0)) + assumed_noise.process(context, options.Q, where)
+    mix, C, R = assumed_noise.independent(context, options.R, model.C, where)
     if mix is not None:
         raise UserError(f"{where}: R: got noise that is correlated between outputs, expected a number for each.")
     return Gains(
@@ -127,16 +127,16 @@ def design(setting: DesignContext, options: Options, name: str) -> Gains:
         Q=Q,
         C=C,
         R=R,
-        P0=setting.P0,
+        P0=context.P0,
         delay=np.asarray(float(mean)),
         delay_std=np.asarray(float(std)),
         dt=np.asarray(dt),
         longest=np.asarray(longest),
-        mean=np.asarray(setting.delay[0]),
-        later=np.asarray(max(setting.latest - setting.delay[0], 0) if options.stamps else 0),
+        mean=np.asarray(context.delay[0]),
+        later=np.asarray(max(context.latest - context.delay[0], 0) if options.stamps else 0),
         stamps=np.asarray(int(options.stamps)),
-        room=setting.room if options.stamps else np.zeros(0),
-        estimated=np.zeros(int(known)),
+        room=context.room if options.stamps else np.zeros(0),
+        estimated=np.zeros(int(is_unknown)),
     )
 
 

@@ -120,13 +120,13 @@ def observer(law: Injection) -> Observer:
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         """Advance by one tick, with the held or predicted y."""
-        started = now.tick >= gains.lag
-        moved = rk4(lambda t, m: field(gains, m, now._replace(t=t), m.y), now.t, memory, now.dt)
-        xd, w, y = (jnp.where(started, new, old) for new, old in zip(moved[:3], memory[:3], strict=True))
-        leaving = jnp.where(started, memory.ahead @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
-        response = gains.Phi @ memory.response + gains.Gamma @ now.u - leaving
-        ahead = jnp.where(started, memory.ahead, gains.Phi @ memory.ahead)
-        pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
+        is_past_lag = now.tick >= gains.lag
+        state = rk4(lambda t, m: field(gains, m, now._replace(t=t), m.y), now.t, memory, now.dt)
+        xd, w, y = (jnp.where(is_past_lag, new, old) for new, old in zip(state[:3], memory[:3], strict=True))
+        old_response = jnp.where(is_past_lag, memory.ahead @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
+        response = gains.Phi @ memory.response + gains.Gamma @ now.u - old_response
+        ahead = jnp.where(is_past_lag, memory.ahead, gains.Phi @ memory.ahead)
+        pushed = jnp.where(is_past_lag, memory.pushed, gains.Phi @ memory.pushed + gains.push)
         f = reconstruct(gains, xd, w, y)
         return Memory(xd=xd, w=w, y=y, f=f, response=response, ahead=ahead, pushed=pushed)
 
@@ -139,50 +139,50 @@ def observer(law: Injection) -> Observer:
 
 
 def gains_of(
-    setting: DesignContext, split: Split, injection: tuple[Matrix, Matrix], law: PyTree, options: Options
+    context: DesignContext, parts: Split, injection: tuple[Matrix, Matrix], law: PyTree, options: Options
 ) -> Gains:
     """Return the gains of an observer from Gx, Lx and the law."""
-    model, r, p = setting.model, len(split.E222), len(setting.model.C)
+    model, r, p = context.model, len(parts.E222), len(context.model.C)
     (A, B, C, *_), (Gx, Lx) = model, injection
     predicts = float(options.measurement == "predict")
     F = np.block([[A - Gx @ C, Gx], [predicts * C @ A, np.zeros((p, p))]])
     H = np.vstack([B, predicts * C @ B])
-    S = np.hstack([-split.Tp @ C, split.Tp])
-    pick = np.hstack([np.zeros((r, p - r)), np.linalg.inv(split.E222)])
-    Phi, Gamma = linear.one_tick(model, setting.dt)
-    push = linear.one_tick(model._replace(B=np.asarray(model.E)), setting.dt)[1] * options.reconstruct
-    lag = np.asarray(setting.delay[0])
+    S = np.hstack([-parts.Tp @ C, parts.Tp])
+    pick = np.hstack([np.zeros((r, p - r)), np.linalg.inv(parts.E222)])
+    Phi, Gamma = linear.one_tick(model, context.dt)
+    push = linear.one_tick(model._replace(B=np.asarray(model.E)), context.dt)[1] * options.reconstruct
+    lag = np.asarray(context.delay[0])
     matrices = {"Lx": Lx, "C": C, "D": model.feedthrough, "F": F, "H": H, "S": S, "pick": pick}
     return Gains(law=law, **matrices, known=model.known, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
 
 
-def carries(setting: DesignContext, options: Options) -> bool | None:
+def carries(context: DesignContext, options: Options) -> bool | None:
     """Return whether the prediction to the present includes the estimated input; None without a delay."""
-    return options.reconstruct if setting.delay[0] else None
+    return options.reconstruct if context.delay[0] else None
 
 
-def one_delay(setting: DesignContext, where: str) -> None:
+def require_one_delay(context: DesignContext, where: str) -> None:
     """Raise UserError if channels have different delays."""
-    if len(set(setting.delay)) > 1:
+    if len(set(context.delay)) > 1:
         raise UserError(
-            f"{where}: got channels with delays {setting.delay} (ticks), expected one for all, because it estimates the "
+            f"{where}: got channels with delays {context.delay} (ticks), expected one for all, because it estimates the "
             "state of one delay ago; give equal delays, or take kf."
         )
 
 
-def short_tick(setting: DesignContext, gain: float, of: str, where: str) -> None:
+def require_short_tick(context: DesignContext, gain: float, of: str, where: str) -> None:
     """Raise UserError if a Runge-Kutta step of one tick is unstable for a gain [1/s]."""
-    if gain * setting.dt > STABLE:
+    if gain * context.dt > STABLE:
         raise UserError(
-            f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {setting.dt:g} s, expected their product below "
+            f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {context.dt:g} s, expected their product below "
             f"{STABLE:g}, as a Runge-Kutta step needs; take a tick of at most {STABLE / gain:.2g} s, or other options."
         )
 
 
-def printed_for(arm: Mapping[str, tuple[tuple[int | float, ...], ...]], setting: DesignContext, where: str) -> None:
+def require_plant(arm: Mapping[str, tuple[tuple[int | float, ...], ...]], context: DesignContext, where: str) -> None:
     """Raise UserError if gains printed for the arm, given by its matrices A, C, E, are used for another plant."""
     for name, rows in arm.items():
-        M = getattr(setting.model, name)
+        M = getattr(context.model, name)
         if M is None or M.shape != np.shape(rows) or not np.allclose(M, rows, rtol=1e-12, atol=0):
             raise UserError(
                 f"{where}: got gains = 'paper', which are printed for the arm, on another plant; expected 'design': leave the "
