@@ -108,13 +108,13 @@ def now_at(params: Params, now: Now, estimate: Array, coming: Callable[[Array], 
 def pd_command(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
     """Return the present command, from the state predicted to the time at which it acts."""
     row, B = now.tick - params.first, estimate[4:]
-    left = params.ahead[row]
+    horizon = params.ahead[row]
 
     def step(i: Array, x: Array) -> Array:
         future = now._replace(u=coming(i))
-        return rk4(lambda t, x: params.model(future, x, B), now.t, x, jnp.minimum(now.dt, left - i * now.dt))
+        return rk4(lambda t, x: params.model(future, x, B), now.t, x, jnp.minimum(now.dt, horizon - i * now.dt))
 
-    steps = jnp.ceil(left / now.dt - 1e-6).astype(int)
+    steps = jnp.ceil(horizon / now.dt - 1e-6).astype(int)
     x = lax.fori_loop(0, steps, step, estimate[:4])
     return law(params, row, x, B, params.goal[row])
 

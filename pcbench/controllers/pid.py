@@ -74,11 +74,11 @@ def check(options: Options, sizes: Sizes) -> None:
 def prepare(options: Options, context: ControllerContext) -> Params:
     """Return the parameters of the law."""
     (q, _), (_, m) = context.model.C.shape, context.model.B.shape
-    sizes, every = Sizes(context.states, m, q, context.dt, "controller"), context.every(options.period)
-    T = every * context.dt
+    sizes, period = Sizes(context.states, m, q, context.dt, "controller"), context.every(options.period)
+    T = period * context.dt
     Kp, Ki, Kd = (
-        np.zeros((m, q)) if given == 0.0 else common.matrix(given, (m, q), "gain", sizes)
-        for given in (options.Kp, options.Ki, options.Kd)
+        np.zeros((m, q)) if gain == 0.0 else common.matrix(gain, (m, q), "gain", sizes)
+        for gain in (options.Kp, options.Ki, options.Kd)
     )
     limit = np.inf if options.limit is None else np.asarray(options.limit, float)
     return Params(
@@ -92,7 +92,7 @@ def prepare(options: Options, context: ControllerContext) -> Params:
             options.set_point, context.states, context.tick, context.dt, context.ticks + 1 + context.ahead
         ).x,
         offset=np.broadcast_to(np.asarray(options.offset, float), m).copy(),
-        every=np.asarray(every),
+        every=np.asarray(period),
         limit=np.broadcast_to(limit, m).copy(),
     )
 
@@ -127,20 +127,20 @@ def start(params: Params, estimate: Array) -> PidState:
 
 
 def command(
-    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: PidState
+    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], memory: PidState
 ) -> tuple[Float[Array, " m"], PidState]:
     """Return the present command and the new memory."""
     y = params.C @ estimate[: params.C.shape[1]]
     e = params.C @ params.x_ref[now.tick] - y
-    slope = params.filter * kept.slope + (1 - params.filter) * (y - kept.y) / params.T
-    integral = kept.integral + params.KiT @ e
-    unlimited = params.offset + params.Kp @ e + integral - params.Kd @ slope
-    u = jnp.clip(unlimited, -params.limit, params.limit)
+    slope = params.filter * memory.slope + (1 - params.filter) * (y - memory.y) / params.T
+    integral = memory.integral + params.KiT @ e
+    u_law = params.offset + params.Kp @ e + integral - params.Kd @ slope
+    u = jnp.clip(u_law, -params.limit, params.limit)
     new, decides = (
-        PidState(u, jnp.where(u == unlimited, integral, kept.integral), y, slope),
+        PidState(u, jnp.where(u == u_law, integral, memory.integral), y, slope),
         now.tick % params.every == 0,
     )
-    after = PidState(*(jnp.where(decides, a, b) for a, b in zip(new, kept, strict=True)))
+    after = PidState(*(jnp.where(decides, a, b) for a, b in zip(new, memory, strict=True)))
     return after.u, after
 
 

@@ -19,18 +19,18 @@ Field = Callable[[Array, PyTree], PyTree]  # (t [s], x) -> dx/dt; x an array, or
 def rk4(field: Field, t: Array, x: PyTree, h: Array) -> PyTree:
     """Return x, an array or a pytree of arrays, after one classical Runge-Kutta step of h seconds from time t."""
 
-    def ahead(by: Array, k: PyTree) -> PyTree:
+    def advance(by: Array, k: PyTree) -> PyTree:
         return jax.tree.map(lambda x, k: x + by * k, x, k)
 
     def stage(carry: tuple[PyTree, PyTree], row: tuple[Array, Array]) -> tuple[PyTree, None]:
         (k, total), (part, weight) = carry, row
-        k = field(t + part * h, ahead(part * h, k))
+        k = field(t + part * h, advance(part * h, k))
         return (k, jax.tree.map(lambda total, k: total + weight * k, total, k)), None
 
     zero = jax.tree.map(jnp.zeros_like, x)
     # A loop, not four copies: the result of a stage is stored, while the compiler would compute it again for every use.
     (_, total), _ = lax.scan(stage, (zero, zero), (jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0])))
-    return ahead(h / 6, total)
+    return advance(h / 6, total)
 
 
 def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> Float[Array, "n n"]:
@@ -50,7 +50,7 @@ def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Ar
 
     `age` must be in 0 .. R^levels - 1; only an exported observer checks it.
     """
-    for E in _chosen(powers, age):
+    for E in _digit_entries(powers, age):
         x = E @ x
     return x
 
@@ -62,12 +62,12 @@ def covariance_after(
     P: Float[Array, "n n"],
 ) -> Float[Array, "n n"]:
     """Return P propagated over `age` ticks: E P E' + Q, with the process noise of the ticks of each power in `noise`."""
-    for E, Q in zip(_chosen(powers, age), _chosen(noise, age), strict=True):
+    for E, Q in zip(_digit_entries(powers, age), _digit_entries(noise, age), strict=True):
         P = E @ P @ E.T + Q
     return P
 
 
-def _chosen(powers: Array, age: Array) -> list[Array]:
+def _digit_entries(powers: Array, age: Array) -> list[Array]:
     """Return the entry of each level's table for the digits of `age`, in one gather."""
     levels, R, *shape = powers.shape
     age = within_room(age, age < R**levels)

@@ -82,14 +82,14 @@ def doublings(model: Model, h: float, bits: int) -> Matrix:
 
 
 @cached_by_value
-def _doublings(one: Matrix, discrete: bool, h: float, bits: int) -> Matrix:
+def _doublings(M: Matrix, discrete: bool, h: float, bits: int) -> Matrix:
     if discrete:
-        maps = [one]
+        maps = [M]
         for _ in range(bits - 1):
             maps.append(maps[-1] @ maps[-1])
         out = np.stack(maps)
     else:
-        out = np.stack([expm(one * (h * 2**b)) for b in range(bits)])
+        out = np.stack([expm(M * (h * 2**b)) for b in range(bits)])
     out.flags.writeable = False
     return out
 
@@ -110,9 +110,9 @@ def _noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     size = float(np.linalg.norm(A, 2)) * h
     halvings = int(np.ceil(np.log2(size))) if size > 1 else 0
     short = h / 2**halvings
-    whole = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]), short)
-    E = whole[n:, n:].T
-    Q = E @ whole[:n, n:]
+    E_block = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]), short)
+    E = E_block[n:, n:].T
+    Q = E @ E_block[:n, n:]
     for _ in range(halvings):
         Q, E = E @ Q @ E.T + Q, E @ E
     out: Matrix = (Q + Q.T) / 2
@@ -158,11 +158,11 @@ def powers(model: Model, h: float, ticks: int) -> Matrix:
 @cached_by_value
 def _powers(A: Matrix, discrete: bool, h: float, ticks: int) -> Matrix:
     half, n = -(-bits_for(ticks) // 2), len(A)
-    doubled = _doublings(A, discrete, h, 2 * half)
+    binary_maps = _doublings(A, discrete, h, 2 * half)
     levels = []
     for level in range(2):
         table = np.eye(n)[None]
-        for E in doubled[level * half : (level + 1) * half]:
+        for E in binary_maps[level * half : (level + 1) * half]:
             table = np.concatenate([table, E @ table])
         levels.append(table)
     out = np.stack(levels)
@@ -178,33 +178,33 @@ def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
 @cached_by_value
 def _noise_powers(A: Matrix, discrete: bool, Q: Matrix, h: float, ticks: int) -> Matrix:
     half = -(-bits_for(ticks) // 2)
-    doubled = _doublings(A, discrete, h, 2 * half)
+    binary_maps = _doublings(A, discrete, h, 2 * half)
     noise, levels = _noise_doublings(A, discrete, Q, h, 2 * half), []
     for level in range(2):
         table = np.zeros_like(noise[:1])
         for b in range(level * half, (level + 1) * half):
-            table = np.concatenate([table, doubled[b] @ table @ doubled[b].T + noise[b]])
+            table = np.concatenate([table, binary_maps[b] @ table @ binary_maps[b].T + noise[b]])
         levels.append(table)
     out = np.stack(levels)
     out.flags.writeable = False
     return out
 
 
-def over(doubled: Matrix, ticks: int) -> Matrix:
+def over(binary_maps: Matrix, ticks: int) -> Matrix:
     """Return e^{A h ticks} as a product of doublings."""
-    E = np.eye(doubled.shape[1])
-    for b in range(doubled.shape[0]):
+    E = np.eye(binary_maps.shape[1])
+    for b in range(binary_maps.shape[0]):
         if ticks >> b & 1:
-            E = doubled[b] @ E
+            E = binary_maps[b] @ E
     return E
 
 
-def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
+def noise_over(binary_maps: Matrix, noise: Matrix, ticks: int) -> Matrix:
     """Return the process noise covariance over `ticks` ticks from its doublings."""
-    Q = np.zeros_like(doubled[0])
-    for b in range(doubled.shape[0]):
+    Q = np.zeros_like(binary_maps[0])
+    for b in range(binary_maps.shape[0]):
         if ticks >> b & 1:
-            Q = doubled[b] @ Q @ doubled[b].T + noise[b]
+            Q = binary_maps[b] @ Q @ binary_maps[b].T + noise[b]
     return Q
 
 

@@ -41,12 +41,15 @@ def unobservable(A: Matrix, C: Matrix) -> list[complex]:
 
 @cached_by_value
 def _unobservable(A: Matrix, C: Matrix) -> tuple[complex, ...]:
-    n, whole = len(A), _rate(A)
+    n, rate = len(A), _rate(A)
     for i in range(len(C)):
         A, C = _hidden(A, C, i)
     hidden, m = np.linalg.eigvals(A).astype(complex), max(len(A), 1)
-    noise, own = ROUNDING * max(n, 1) * whole, _rate(A)
-    return tuple(_exact(complex(mode), noise if own <= noise else own * (noise / own) ** (1 / m)) for mode in hidden)
+    noise, hidden_rate = ROUNDING * max(n, 1) * rate, _rate(A)
+    return tuple(
+        _exact(complex(mode), noise if hidden_rate <= noise else hidden_rate * (noise / hidden_rate) ** (1 / m))
+        for mode in hidden
+    )
 
 
 def _exact(mode: complex, noise: float) -> complex:
@@ -67,27 +70,27 @@ def _hidden(A: Matrix, C: Matrix, output: int) -> tuple[Matrix, Matrix]:
     weight = np.zeros_like(reach)
     for _ in range(len(A)):
         weight, reach = weight + reach, reach @ size / rate
-    seen = weight > 0
-    if not seen.any():
+    is_reached = weight > 0
+    if not is_reached.any():
         return A, C
-    o, k = weight[seen], int(seen.sum())
+    o, k = weight[is_reached], int(is_reached.sum())
     pair = np.zeros((k + 1, k + 1))
-    pair[1:, 0], pair[1:, 1:] = C[output, seen] / o, (A[np.ix_(seen, seen)] * o[:, None] / o).T
+    pair[1:, 0], pair[1:, 1:] = C[output, is_reached] / o, (A[np.ix_(is_reached, is_reached)] * o[:, None] / o).T
     H, Q = hessenberg(pair, calc_q=True)
-    coupling = np.abs(np.diag(H, -1))  # of c with the first direction, and of each direction with the next
+    couplings = np.abs(np.diag(H, -1))  # of c with the first direction, and of each direction with the next
     least = RANK * max(float(np.linalg.norm(pair[1:, 1:], 2)), 1e-300)
-    shown = next((i for i in range(1, k) if coupling[i] <= least), k)
-    basis = block_diag(Q[1:, 1 + shown :] / o[:, None], np.eye(len(A) - k))
-    back = block_diag(Q[1:, 1 + shown :].T * o, np.eye(len(A) - k))
-    order = np.concatenate([np.flatnonzero(seen), np.flatnonzero(~seen)])
+    rank = next((i for i in range(1, k) if couplings[i] <= least), k)
+    basis = block_diag(Q[1:, 1 + rank :] / o[:, None], np.eye(len(A) - k))
+    back = block_diag(Q[1:, 1 + rank :].T * o, np.eye(len(A) - k))
+    order = np.concatenate([np.flatnonzero(is_reached), np.flatnonzero(~is_reached)])
     return product(back, A[np.ix_(order, order)], basis), product(C[:, order], basis)
 
 
 def product(*factors: Matrix) -> Matrix:
     """Return the product of matrices, with 0 for entries that are rounding errors of larger terms."""
     result, terms = factors[0], np.abs(factors[0])
-    for each in factors[1:]:
-        result, terms = result @ each, terms @ np.abs(each)
+    for factor in factors[1:]:
+        result, terms = result @ factor, terms @ np.abs(factor)
     return np.where(np.abs(result) > RANK * terms, result, 0.0)
 
 

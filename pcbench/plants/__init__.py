@@ -139,8 +139,8 @@ def output_units(scenario: Scenario) -> list[str]:
     if outputs := entry_of(scenario).outputs:
         return [unit for _, unit in outputs]
     units = dict(states_of(scenario))
-    named = {output: units[state] for state, output in outputs_of_states(scenario).items()}
-    return [named.get(i, "") for i in range(len(scenario.sampling.noise_std))]
+    state_units = {output: units[state] for state, output in outputs_of_states(scenario).items()}
+    return [state_units.get(i, "") for i in range(len(scenario.sampling.noise_std))]
 
 
 def numbers_of(scenario: Scenario) -> PyTree:
@@ -148,21 +148,23 @@ def numbers_of(scenario: Scenario) -> PyTree:
     return entry_of(scenario).numbers._replace(**scenario.belief.model)
 
 
-def replace_numbers(numbers: PyTree, given: Mapping[str, object]) -> PyTree:
+def replace_numbers(numbers: PyTree, values: Mapping[str, object]) -> PyTree:
     """Return a plant's parameters with some changed; named numbers of an [lti] plant are in its `own`."""
-    fields = {name: v for name, v in given.items() if name in numbers._fields}
-    named = {name: v for name, v in given.items() if name not in fields}
+    fields = {name: v for name, v in values.items() if name in numbers._fields}
+    by_name = {name: v for name, v in values.items() if name not in fields}
     out = numbers._replace(**fields)
-    if not named:
+    if not by_name:
         return out
-    plant = {name: v for name, v in out.plant.items() if name not in named}
-    return out._replace(own={**out.own, **named}, plant=plant)
+    plant = {name: v for name, v in out.plant.items() if name not in by_name}
+    return out._replace(own={**out.own, **by_name}, plant=plant)
 
 
-def differs(numbers: PyTree, given: Mapping[str, object]) -> bool:
+def differs(numbers: PyTree, values: Mapping[str, object]) -> bool:
     """Return whether given parameters make a plant differ from its default."""
-    own = getattr(numbers, "own", {})
-    return any(value != (own[name] if name in own else getattr(numbers, name)) for name, value in given.items())
+    by_name = getattr(numbers, "own", {})
+    return any(
+        value != (by_name[name] if name in by_name else getattr(numbers, name)) for name, value in values.items()
+    )
 
 
 def drifts(scenario: Scenario) -> bool:

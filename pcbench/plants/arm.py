@@ -67,8 +67,8 @@ def nominal(p: Numbers) -> Model:
     k, a, b = p.k / p.J, p.Fl / p.J, p.Fm / p.J
     A = np.array([[0, 1, 0, 0], [-k, -a, k, 0], [0, 0, 0, 1], [k, 0, -k, -b]])
     B, C = np.array([[0.0], [0], [0], [1 / p.J]]), np.array([[0.0, 1, 0, 0], [0, 0, 1, 0]])
-    known = jax.tree_util.Partial(pull, np.asarray(p.M * p.g * p.l / p.J))
-    return Model(A, B, C, E=np.array([[0.0], [1], [0], [0]]), known=known)
+    known_part = jax.tree_util.Partial(pull, np.asarray(p.M * p.g * p.l / p.J))
+    return Model(A, B, C, E=np.array([[0.0], [1], [0], [0]]), known=known_part)
 
 
 def pull(delta: Array, x: Float[Array, "4"]) -> Float[Array, "1"]:

@@ -65,7 +65,7 @@ def field(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
 
 
 @partial(jax.jit, static_argnames="ticks")
-def _drifting(numbers: Numbers, dt: Array, ticks: int) -> Params:
+def _drift_params(numbers: Numbers, dt: Array, ticks: int) -> Params:
     params = Params(
         jnp.zeros(0), jnp.zeros(0), numbers._replace(input_bias=0.0)
     )  # the bias is added to the input elsewhere
@@ -77,14 +77,14 @@ def _drifting(numbers: Numbers, dt: Array, ticks: int) -> Params:
 
         return transition(joint, k * dt, 3, dt, SUBSTEPS)
 
-    whole = jax.vmap(tick)(jnp.arange(ticks + 1))
-    return Params(whole[:, :2, :2], whole[:, :2, 2:], numbers)
+    transitions = jax.vmap(tick)(jnp.arange(ticks + 1))
+    return Params(transitions[:, :2, :2], transitions[:, :2, 2:], numbers)
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of every tick 0 .. `ticks` of `dt` seconds."""
     if numbers.drift:
-        return _drifting(jax.tree.map(jnp.asarray, numbers), jnp.asarray(dt), ticks)
+        return _drift_params(jax.tree.map(jnp.asarray, numbers), jnp.asarray(dt), ticks)
     model = nominal(numbers)
     Phi, Gamma = discretize_zoh(model.A, model.B, dt)
     return Params(Phi[None], Gamma[None], numbers)
@@ -92,8 +92,8 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
 
 def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Advance x by one tick under the held now.u."""
-    one = params.Phi.shape[0] == 1
-    Phi, Gamma = (params.Phi[0], params.Gamma[0]) if one else (params.Phi[now.tick], params.Gamma[now.tick])
+    is_constant = params.Phi.shape[0] == 1
+    Phi, Gamma = (params.Phi[0], params.Gamma[0]) if is_constant else (params.Phi[now.tick], params.Gamma[now.tick])
     return Phi @ x + Gamma @ (now.u + params.numbers.input_bias)
 
 

@@ -96,8 +96,8 @@ def sensor(params: Params, now: Now, x: Float[Array, "5"], unknowns: Float[Array
 
 def output_residual(params: Params, y: Float[Array, "2"], yhat: Float[Array, "2"]) -> Float[Array, "2"]:
     """Return y - yhat [m, rad], its bearing between -pi and pi."""
-    turned = y[1] - yhat[1]
-    return jnp.stack([y[0] - yhat[0], jnp.arctan2(jnp.sin(turned), jnp.cos(turned))])
+    angle = y[1] - yhat[1]
+    return jnp.stack([y[0] - yhat[0], jnp.arctan2(jnp.sin(angle), jnp.cos(angle))])
 
 
 def step(params: Params, now: Now, x: Float[Array, "5"]) -> Float[Array, "5"]:

@@ -122,9 +122,9 @@ def linear_part(n: Numbers) -> Matrix:
     for i, share in DECAY.items():
         out[i, 8] += share * n.kd
     for liquid, gas, henry in ((0, 10, n.Kch4 * RT_CH4 * 16), (1, 11, n.Kco2 * RT_CO2 * 44)):
-        moved = n.kla * np.array([1.0, -henry])
-        out[liquid, [liquid, gas]] -= moved
-        out[gas, [liquid, gas]] += moved * n.Vl / n.Vg
+        transfer = n.kla * np.array([1.0, -henry])
+        out[liquid, [liquid, gas]] -= transfer
+        out[gas, [liquid, gas]] += transfer * n.Vl / n.Vg
     return out
 
 
@@ -205,8 +205,8 @@ def rates(params: Params, x: Float[Array, "12"], feed: Array) -> Float[Array, "1
     """Return dx/dt [g/(L d)] at concentrations x [g/L] and a feed [L/d]."""
     p = RT_CH4 * x[10] + RT_CO2 * x[11]
     q = params.flow * (p - params.p0) * p
-    lost = jnp.concatenate([feed / params.Vl * (x[:10] - params.inlet[:10]), q / params.Vg * x[10:]])
-    return params.linear @ x - lost
+    outflow = jnp.concatenate([feed / params.Vl * (x[:10] - params.inlet[:10]), q / params.Vg * x[10:]])
+    return params.linear @ x - outflow
 
 
 def solve(params: Params, x: Float[Array, "12"], h: Array, b: Float[Array, "12"]) -> Float[Array, "12"]:
@@ -230,12 +230,12 @@ def solve(params: Params, x: Float[Array, "12"], h: Array, b: Float[Array, "12"]
 def steps(params: Params, x: Float[Array, "12"], feed: Array, h: Array) -> Float[Array, "12"]:
     """Return x after the steps of a tick, h [d] each, under a feed [L/d]."""
 
-    def ahead(z: Array, _: None) -> tuple[Array, None]:
+    def rosenbrock_step(z: Array, _: None) -> tuple[Array, None]:
         k1 = solve(params, z, h, rates(params, z, feed))
         k2 = solve(params, z, h, rates(params, z + h * k1, feed) - 2 * k1)
         return z + h * (1.5 * k1 + 0.5 * k2), None
 
-    return lax.scan(ahead, params.level + x, None, STEPS)[0] - params.level
+    return lax.scan(rosenbrock_step, params.level + x, None, STEPS)[0] - params.level
 
 
 def successor(params: Params, now: Now, x: Float[Array, "12"], unknowns: Float[Array, "0"]) -> Float[Array, "12"]:

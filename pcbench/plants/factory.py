@@ -135,40 +135,40 @@ def make_plant(
         )
     if (field is None) == (step is None) or (step is None) != (tick is None):
         raise UserError(
-            f"{WHERE}: got {_list_given(field, step, tick)}, expected field, or step with its tick in seconds; give one."
+            f"{WHERE}: got {_argument_names(field, step, tick)}, expected field, or step with its tick in seconds; give one."
         )
-    measured = names_and_units(outputs, f"{WHERE}: outputs")
+    output_signals = names_and_units(outputs, f"{WHERE}: outputs")
     numbers = NoNumbers() if numbers is None else numbers
-    pushed, sought = dict(unknown_inputs or {}), dict(unknown_parameters or {})
-    kept = _numbers(numbers, pushed, sought)
+    inputs, parameters = dict(unknown_inputs or {}), dict(unknown_parameters or {})
+    plant_numbers = _numbers(numbers, inputs, parameters)
     for name in positive:
-        if name not in kept._fields:
-            raise unknown(f"{WHERE}: positive", "number", name, kept._fields)
+        if name not in plant_numbers._fields:
+            raise unknown(f"{WHERE}: positive", "number", name, plant_numbers._fields)
     e = Equations(
         field=field,
         step=step,
         output=output,
         tick=tick,
         numbers=type(numbers),
-        inputs=tuple(pushed),
-        parameters=tuple(sought),
+        inputs=tuple(inputs),
+        parameters=tuple(parameters),
         x0=x0,
         u0=u0,
         y0=(),
         output_residual=output_residual,
         errors=tuple((errors or {}).values()),
     )
-    e = e._replace(y0=_try_output(e, kept))
-    if measured and len(measured) != len(e.y0):
+    e = e._replace(y0=_try_output(e, plant_numbers))
+    if output_signals and len(output_signals) != len(e.y0):
         raise UserError(
-            f"{WHERE}: outputs: got {len(measured)} names, expected {len(e.y0)}, one for each number that output returns."
+            f"{WHERE}: outputs: got {len(output_signals)} names, expected {len(e.y0)}, one for each number that output returns."
         )
     units = [
-        (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
-        for name, each in (pushed | sought).items()
+        (name, unit(spec if isinstance(spec, str) else spec[0], f"{WHERE}: {name}"))
+        for name, spec in (inputs | parameters).items()
     ]
-    own_errors = names_and_units([*states, *(errors or {})], f"{WHERE}: errors")[len(signals) :]
-    if own_errors and units:
+    error_signals = names_and_units([*states, *(errors or {})], f"{WHERE}: errors")[len(signals) :]
+    if error_signals and units:
         raise UserError(
             f"{WHERE}: errors: got errors of your own and {units[0][0]}, which is unknown, expected one of the two; leave the "
             "errors out, or give the number to the observers."
@@ -179,11 +179,11 @@ def make_plant(
             output=PlantFunction(nonlinear.output, e),
             field=PlantFunction(nonlinear.field, e) if field is not None else None,
             unknown=PlantFunction(nonlinear.unknown, e) if units else None,
-            errors=PlantFunction(nonlinear.errors, e) if own_errors else None,
-            scored=len(own_errors),
+            errors=PlantFunction(nonlinear.errors, e) if error_signals else None,
+            scored=len(error_signals),
         ),
         signals=signals,
-        numbers=kept,
+        numbers=plant_numbers,
         nominal=PlantFunction(nonlinear.nominal, e),
         prepare=PlantFunction(nonlinear.prepare, e),
         summary=summary,
@@ -195,51 +195,51 @@ def make_plant(
         output_residual=PlantFunction(nonlinear.output_residual, e) if output_residual is not None else None,
         residual=PlantFunction(nonlinear.residual, e),
         positive=tuple(positive),
-        drifts="drift" in kept._fields,
-        ranges=tuple(_range(name, each) for name, each in (pushed | sought).items()),
+        drifts="drift" in plant_numbers._fields,
+        ranges=tuple(_range(name, spec) for name, spec in (inputs | parameters).items()),
         operating_point=(x0, u0),
         tick=tick,
-        errors=own_errors,
-        outputs=measured,
+        errors=error_signals,
+        outputs=output_signals,
     )
 
 
-def _point(given: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _point(point: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the operating point as numbers."""
     try:
-        x0, u0 = (tuple(float(v) for v in np.asarray(part, float).reshape(-1)) for part in given)
+        x0, u0 = (tuple(float(v) for v in np.asarray(part, float).reshape(-1)) for part in point)
     except (TypeError, ValueError):
         raise UserError(
-            f"{WHERE}: operating_point: got {brief_repr(given)}, expected a pair (x0 [n], u0 [m]) of lists of numbers."
+            f"{WHERE}: operating_point: got {brief_repr(point)}, expected a pair (x0 [n], u0 [m]) of lists of numbers."
         ) from None
     if not x0 or not u0 or not np.isfinite([*x0, *u0]).all():
         raise UserError(
-            f"{WHERE}: operating_point: got {brief_repr(given)}, expected at least one state and one input, all finite."
+            f"{WHERE}: operating_point: got {brief_repr(point)}, expected at least one state and one input, all finite."
         )
     return x0, u0
 
 
-def _list_given(field: Function | None, step: Function | None, tick: float | None) -> str:
-    there = [name for name, each in (("field", field), ("step", step), ("tick", tick)) if each is not None]
-    return " and ".join(there) or "neither field nor step"
+def _argument_names(field: Function | None, step: Function | None, tick: float | None) -> str:
+    names = [name for name, value in (("field", field), ("step", step), ("tick", tick)) if value is not None]
+    return " and ".join(names) or "neither field nor step"
 
 
-def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, Range]) -> PyTree:
+def _numbers(numbers: PyTree, inputs: Mapping[str, Range], parameters: Mapping[str, Range]) -> PyTree:
     """Return the plant's parameters that a study may vary: floats, and tuples of them, without unknown inputs."""
     names = getattr(numbers, "_fields", None)
     if names is None:
         raise UserError(
             f"{WHERE}: numbers: got {brief_repr(numbers)}, expected a NamedTuple of numbers; make one with defaults."
         )
-    for what, given in (("unknown_inputs", pushed), ("unknown_parameters", sought)):
-        for name in given:
+    for argument, ranges in (("unknown_inputs", inputs), ("unknown_parameters", parameters)):
+        for name in ranges:
             if name not in names:
-                raise unknown(f"{WHERE}: {what}", "number of the plant", name, names)
-    if twice := set(pushed) & set(sought):
+                raise unknown(f"{WHERE}: {argument}", "number of the plant", name, names)
+    if in_both := set(inputs) & set(parameters):
         raise UserError(
-            f"{WHERE}: got '{min(twice)}' as an unknown input and an unknown parameter, expected one of them."
+            f"{WHERE}: got '{min(in_both)}' as an unknown input and an unknown parameter, expected one of them."
         )
-    kept: dict[str, object] = {}
+    fields: dict[str, object] = {}
     for name, value in zip(names, numbers, strict=True):
         try:
             array = np.asarray(value, float)
@@ -247,25 +247,25 @@ def _numbers(numbers: PyTree, pushed: Mapping[str, Range], sought: Mapping[str, 
             raise UserError(
                 f"{WHERE}: numbers.{name}: got {brief_repr(value)}, expected a number or an array of them."
             ) from None
-        if (name in pushed or name in sought) and array.ndim:
+        if (name in inputs or name in parameters) and array.ndim:
             raise UserError(
                 f"{WHERE}: numbers.{name}: got {brief_repr(value)}, expected one number: it is unknown to observers."
             )
-        if name not in pushed:
-            kept[name] = float(array) if not array.ndim else tuples(array.tolist())
-    if pushed:
-        kept["unknown_input"] = "zero"
-    return namedtuple("Numbers", kept)(**kept)  # type: ignore[misc]
+        if name not in inputs:
+            fields[name] = float(array) if not array.ndim else tuples(array.tolist())
+    if inputs:
+        fields["unknown_input"] = "zero"
+    return namedtuple("Numbers", fields)(**fields)  # type: ignore[misc]
 
 
 def tuples(value: object) -> object:
     """Return lists, also those in lists, as tuples."""
-    return tuple(tuples(each) for each in value) if isinstance(value, list) else value
+    return tuple(tuples(entry) for entry in value) if isinstance(value, list) else value
 
 
-def _range(name: str, given: Range) -> tuple[float, float]:
+def _range(name: str, spec: Range) -> tuple[float, float]:
     """Return the range in which observers look for an unknown."""
-    low, high = (-np.inf, np.inf) if isinstance(given, str) else (float(v) for v in given[1:])
+    low, high = (-np.inf, np.inf) if isinstance(spec, str) else (float(v) for v in spec[1:])
     if not low < high:
         raise UserError(
             f"{WHERE}: {name}: got a range from {low:g} to {high:g}, expected (unit, least, most); change them."
@@ -277,14 +277,14 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
     """Return the output at the operating point; raise UserError for an invalid function or slope."""
     n = len(e.x0)
     with config.float64():
-        given, x = nonlinear.user_numbers(e, numbers), jnp.array(e.x0)
+        user_numbers, x = nonlinear.user_numbers(e, numbers), jnp.array(e.x0)
         u, dt = jnp.array(e.u0), jnp.asarray(e.tick or 0.0)
         now = Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
         moves = "field" if e.field is not None else "step"
-        found = {}
+        values = {}
         for name in (moves, "output"):
             try:
-                found[name] = np.asarray(jnp.asarray(getattr(e, name)(given, now, x)))
+                values[name] = np.asarray(jnp.asarray(getattr(e, name)(user_numbers, now, x)))
             except UserError:
                 raise
             except Exception as error:
@@ -292,21 +292,21 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
                     f"{WHERE}: {name} cannot be computed at the operating point: {describe_exception(error)}; "
                     "correct that line."
                 ) from None
-        if found[moves].shape != (n,):
+        if values[moves].shape != (n,):
             raise UserError(
-                f"{WHERE}: {moves}: got an array of shape {found[moves].shape}, expected ({n},), a number for each state."
+                f"{WHERE}: {moves}: got an array of shape {values[moves].shape}, expected ({n},), a number for each state."
             )
-        if found["output"].ndim != 1 or not found["output"].size:
+        if values["output"].ndim != 1 or not values["output"].size:
             raise UserError(
-                f"{WHERE}: output: got an array of shape {found['output'].shape}, expected (q,), a number for each output."
+                f"{WHERE}: output: got an array of shape {values['output'].shape}, expected (q,), a number for each output."
             )
-        for name, value in found.items():
+        for name, value in values.items():
             _require_finite(name, value, e)
-        y0 = tuple(map(float, found["output"]))
+        y0 = tuple(map(float, values["output"]))
         if e.output_residual is not None:
-            _try_residual(e.output_residual, found["output"])
-        for i, own_error in enumerate(e.errors):
-            _try_error(own_error, i, given, now, x)
+            _try_residual(e.output_residual, values["output"])
+        for i, error_function in enumerate(e.errors):
+            _try_error(error_function, i, user_numbers, now, x)
         try:
             linear = nonlinear.nominal(e._replace(y0=y0), numbers)
         except Exception as error:
@@ -336,10 +336,10 @@ def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) ->
         )
 
 
-def _try_error(own_error: ErrorFunction, i: int, numbers: PyTree, now: Now, x: Array) -> None:
+def _try_error(error_function: ErrorFunction, i: int, numbers: PyTree, now: Now, x: Array) -> None:
     """Raise UserError if a user-defined error is not a number, or not 0 for x = xhat."""
     try:
-        same = np.asarray(jnp.asarray(own_error(numbers, now, x, x)))
+        same = np.asarray(jnp.asarray(error_function(numbers, now, x, x)))
     except Exception as error:
         raise UserError(
             f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: "

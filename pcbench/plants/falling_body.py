@@ -44,7 +44,7 @@ class Params(NamedTuple):
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the parameters of the equations."""
-    return Params(*(np.asarray(each) for each in numbers[:3]))
+    return Params(*(np.asarray(number) for number in numbers[:3]))
 
 
 def nominal(numbers: Numbers) -> Model:

@@ -50,7 +50,7 @@ class Params(NamedTuple):
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the parameters of the equations."""
-    return Params(*(np.asarray(each) for each in numbers[:5]))
+    return Params(*(np.asarray(number) for number in numbers[:5]))
 
 
 def nominal(n: Numbers) -> Model:

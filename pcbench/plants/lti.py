@@ -61,31 +61,32 @@ class Params(NamedTuple):
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model for designs."""
-    given = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
-    A, B, C = (evaluate_rows(given[letter], numbers.own) for letter in "ABC")
-    D, E = (None if given[letter] is None else evaluate_rows(given[letter], numbers.own) for letter in "DE")
+    rows = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
+    A, B, C = (evaluate_rows(rows[letter], numbers.own) for letter in "ABC")
+    D, E = (None if rows[letter] is None else evaluate_rows(rows[letter], numbers.own) for letter in "DE")
     return Model(A, B, C, D, numbers.discrete, E)
 
 
-def evaluate_rows(rows: Rows, own: Mapping[str, float]) -> Matrix:
+def evaluate_rows(rows: Rows, by_name: Mapping[str, float]) -> Matrix:
     """Return rows of numbers and formulas as a matrix; raise ValueError if a formula has no finite value."""
-    if not own:
+    if not by_name:
         return np.array(rows, float)
-    each = [
-        [expression.value(expression.parse_formula(v), own) if isinstance(v, str) else v for v in row] for row in rows
+    values = [
+        [expression.value(expression.parse_formula(v), by_name) if isinstance(v, str) else v for v in row]
+        for row in rows
     ]
-    return np.array(each, float)
+    return np.array(values, float)
 
 
 def actual(numbers: Numbers) -> Model:
     """Return the true plant: the share `drift` of `plant`, and 1 - `drift` of the model."""
     share, plant = numbers.drift, numbers.plant
-    own = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.own.items()}
-    model = nominal(numbers._replace(own=own)) if plant else nominal(numbers)
-    known = model._replace(D=model.feedthrough)
+    by_name = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.own.items()}
+    model = nominal(numbers._replace(own=by_name)) if plant else nominal(numbers)
+    nominal_model = model._replace(D=model.feedthrough)
     return model._replace(
         **{
-            letter: (1 - share) * getattr(known, letter) + share * evaluate_rows(rows, own)
+            letter: (1 - share) * getattr(nominal_model, letter) + share * evaluate_rows(rows, by_name)
             for letter, rows in plant.items()
             if letter in MATRICES
         }
@@ -124,8 +125,8 @@ def prepare_model(model: Model, gain: float, bias: float, dt: float, ticks: int)
 
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Advance x by one tick under the held now.u."""
-    moved = params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
-    return moved + params.push @ params.f[now.tick] if params.f.shape[1] else moved
+    x_next = params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
+    return x_next + params.push @ params.f[now.tick] if params.f.shape[1] else x_next
 
 
 def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
@@ -135,8 +136,8 @@ def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"
 
 def field(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Return dx/dt under the held now.u; for a continuous plant only."""
-    pushed = params.E @ params.f[now.tick] if params.f.shape[1] else 0.0
-    return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias) + pushed
+    disturbance = params.E @ params.f[now.tick] if params.f.shape[1] else 0.0
+    return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias) + disturbance
 
 
 def unknown(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " r"]:

@@ -75,8 +75,8 @@ class Params(NamedTuple):
 
 def user_numbers(equations: Equations, numbers: PyTree) -> PyTree:
     """Return the user's NamedTuple of numbers with arrays in it; unknown inputs are 0."""
-    said = numbers._asdict() | dict.fromkeys(equations.inputs, 0.0)
-    return equations.numbers(**{name: np.asarray(said[name], float) for name in equations.numbers._fields})
+    values = numbers._asdict() | dict.fromkeys(equations.inputs, 0.0)
+    return equations.numbers(**{name: np.asarray(values[name], float) for name in equations.numbers._fields})
 
 
 def require_tick(dt: float, step: float) -> None:
@@ -101,7 +101,7 @@ def add_operating_input(params: Params, now: Now) -> Now:
     return now._replace(u=now.u + params.u0, past_u=lambda age: now.past_u(age) + params.u0)
 
 
-def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) -> PyTree:
+def with_unknowns(equations: Equations, params: Params, values: Float[Array, " s"]) -> PyTree:
     """Return the user's parameters with the given unknown inputs and parameters [s]."""
     names = (*equations.inputs, *equations.parameters)
     return params.numbers._replace(**{name: values[i] for i, name in enumerate(names)})
@@ -109,13 +109,13 @@ def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) ->
 
 def model(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return dx/dt with unknowns p under the held now.u."""
-    e, numbers = equations, knowing(equations, params, p)
+    e, numbers = equations, with_unknowns(equations, params, p)
     return jnp.asarray(e.field(numbers, add_operating_input(params, now), x + params.x0))  # type: ignore[misc]
 
 
 def successor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return x one tick later with unknowns p under the held now.u."""
-    e, numbers = equations, knowing(equations, params, p)
+    e, numbers = equations, with_unknowns(equations, params, p)
     if e.step is not None:
         return jnp.asarray(e.step(numbers, add_operating_input(params, now), x + params.x0)) - params.x0
     return rk4(lambda t, x: model(e, params, now._replace(t=t), x, p), now.t, x, now.dt)  # type: ignore[no-any-return]
@@ -123,7 +123,7 @@ def successor(equations: Equations, params: Params, now: Now, x: Float[Array, " 
 
 def sensor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
     """Return the measurement with unknowns p."""
-    numbers = knowing(equations, params, p)
+    numbers = with_unknowns(equations, params, p)
     return jnp.asarray(equations.output(numbers, add_operating_input(params, now), x + params.x0)) - params.y0
 
 
@@ -173,21 +173,21 @@ def slopes(equations: Equations, numbers: PyTree) -> tuple[Model, np.ndarray]:
     with config.float64():
         params = jax.tree.map(jnp.asarray, prepare(e, numbers, e.tick or 0.0, 0))
         # unknown inputs are 0 there, for any signal
-        rest = jnp.concatenate([jnp.zeros(r), unknown(e, params, _now(e, jnp.zeros(m)), jnp.zeros(n))[r:]])
+        p0 = jnp.concatenate([jnp.zeros(r), unknown(e, params, _now(e, jnp.zeros(m)), jnp.zeros(n))[r:]])
 
-        def moved(x: Array, u: Array, p: Array) -> Array:
+        def derivative(x: Array, u: Array, p: Array) -> Array:
             return (successor if e.step is not None else model)(e, params, _now(e, u), x, p)
 
-        def seen(x: Array, u: Array, p: Array) -> Array:
+        def measurement(x: Array, u: Array, p: Array) -> Array:
             return sensor(e, params, _now(e, u), x, p)
 
-        at = (jnp.zeros(n), jnp.zeros(m), rest)
-        A, B, E = (np.asarray(each) for each in jax.jacfwd(moved, (0, 1, 2))(*at))
-        C, D, _ = (np.asarray(each) for each in jax.jacfwd(seen, (0, 1, 2))(*at))
-        excess = np.asarray(moved(*at))
+        at = (jnp.zeros(n), jnp.zeros(m), p0)
+        A, B, E = (np.asarray(jacobian) for jacobian in jax.jacfwd(derivative, (0, 1, 2))(*at))
+        C, D, _ = (np.asarray(jacobian) for jacobian in jax.jacfwd(measurement, (0, 1, 2))(*at))
+        excess = np.asarray(derivative(*at))
     size = 1.0 + max(np.abs([*e.x0, *e.u0]).max(), np.abs(A).max())
-    found = Model(A, B, C, D if D.any() else None, e.step is not None, E[:, :r] if r else None)
-    return found, np.where(np.abs(excess) > REST * size, excess, 0.0)
+    linear_model = Model(A, B, C, D if D.any() else None, e.step is not None, E[:, :r] if r else None)
+    return linear_model, np.where(np.abs(excess) > REST * size, excess, 0.0)
 
 
 def _now(equations: Equations, u: Array) -> Now:

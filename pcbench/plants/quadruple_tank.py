@@ -64,8 +64,8 @@ class Params(NamedTuple):
 def pump_gains(n: Numbers) -> Matrix:
     """Return the rise of each level by each pump [4, 2], cm/(V s)."""
     direct = np.diag([n.gamma1 * n.k1 / n.A1, n.gamma2 * n.k2 / n.A2])
-    crossed = np.array([[0.0, (1 - n.gamma2) * n.k2 / n.A1], [(1 - n.gamma1) * n.k1 / n.A2, 0.0]])
-    return np.vstack([direct, crossed])
+    cross = np.array([[0.0, (1 - n.gamma2) * n.k2 / n.A1], [(1 - n.gamma1) * n.k1 / n.A2, 0.0]])
+    return np.vstack([direct, cross])
 
 
 def equilibrium(n: Numbers, voltage: Matrix) -> Matrix:
@@ -113,7 +113,7 @@ def time_constants(n: Numbers, level: Matrix) -> Matrix:
     return np.sqrt(2 * level / n.g) * np.array([n.A1 / n.a1, n.A2 / n.a2, n.A1 / n.a1, n.A2 / n.a2])
 
 
-def linearized(n: Numbers, level: Matrix) -> Model:
+def linearize(n: Numbers, level: Matrix) -> Model:
     """Return the model linearised at levels [4] in cm."""
     T = time_constants(n, level)
     A = np.diag(-1 / T)
@@ -125,7 +125,7 @@ def linearized(n: Numbers, level: Matrix) -> Model:
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model linearised at the operating point."""
-    return linearized(numbers, POINTS[numbers.point].level)
+    return linearize(numbers, POINTS[numbers.point].level)
 
 
 def speed(g: Array, level: Array) -> Array:

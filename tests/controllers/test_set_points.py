@@ -5,7 +5,7 @@ import pytest
 from loops import TICK, plant, resting
 from scipy.linalg import expm
 
-from pcbench.controllers.parts.set_points import SetPoint, reference, rest
+from pcbench.controllers.parts.set_points import SetPoint, equilibrium_map, reference
 
 T = TICK * np.arange(100)
 P = plant()
@@ -27,7 +27,7 @@ def test_steps_sines_and_tables(given, want):
 
 def test_the_plant_rests_on_a_set_point_where_it_can():
     """Two inputs can hold two states: then the next tick is the same."""
-    both = rest(P.Phi, P.Gamma, [0, 2]) @ np.array([0.7, -0.2])
+    both = equilibrium_map(P.Phi, P.Gamma, [0, 2]) @ np.array([0.7, -0.2])
     x, u = both[:3], both[3:]
     assert (x[0], x[2]) == (0.7, -0.2)
     np.testing.assert_allclose(P.Phi @ x + P.Gamma @ u, x, atol=1e-12)
@@ -47,7 +47,7 @@ def test_what_cannot_rest_is_not_led_far_away(tick):
     """A position cannot rest at a velocity of 0.5, whatever the tick: only the velocity's equation is solved."""
     A, B = np.array([[0.0, 1.0], [-2.0, 0.3]]), np.array([[0.0], [1.5]])
     whole = expm(tick * np.block([[A, B], [np.zeros((1, 3))]]))
-    position, velocity, u = (rest(whole[:2, :2], whole[:2, 2:], [1]) @ np.array([0.5])).tolist()
+    position, velocity, u = (equilibrium_map(whole[:2, :2], whole[:2, 2:], [1]) @ np.array([0.5])).tolist()
     least = -0.15 / (2.0**2 + 1.5**2) * np.array([-2.0, 1.5])  # -2 position + 0.3 * 0.5 + 1.5 u = 0
     assert velocity == 0.5
     np.testing.assert_allclose([position, u], least, atol=2 * tick)

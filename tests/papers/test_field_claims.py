@@ -12,7 +12,7 @@ from pcbench.papers import field
 from pcbench.papers.claim import FINDING, NOT_OBTAINED, REPRODUCED, VERDICTS, all_digits
 from pcbench.papers.field import batch_reactor, intermittent, quadruple_tank
 from pcbench.papers.page import _paper
-from pcbench.plants.quadruple_tank import linearized
+from pcbench.plants.quadruple_tank import linearize
 from pcbench.runtime import config
 from pcbench.synthesis import network_bounds
 
@@ -98,7 +98,7 @@ def test_least_rate_of_one_output_follows_from_the_unstable_eigenvalues(name):
 
 @pytest.mark.parametrize("point", quadruple_tank.LEVELS)
 def test_gain_of_the_tanks_is_singular_at_their_zeros(point):
-    model = linearized(quadruple_tank.CONSTANTS[point], np.array(quadruple_tank.LEVELS[point]))
+    model = linearize(quadruple_tank.CONSTANTS[point], np.array(quadruple_tank.LEVELS[point]))
     for zero in quadruple_tank.zeros(model):
         G = model.C @ np.linalg.solve(zero * np.eye(4) - model.A, model.B)
         assert abs(np.linalg.det(G)) < 1e-10 * np.linalg.norm(G) ** 2

@@ -77,51 +77,49 @@ class Sizes(NamedTuple):
         return len(self.states)
 
 
-def matrix(given: Any, shape: tuple[int, int], name: str, sizes: Sizes) -> NDArray[np.float64]:
+def matrix(rows: Any, shape: tuple[int, int], name: str, sizes: Sizes) -> NDArray[np.float64]:
     """Return rows of numbers as a matrix; a number or a flat list is the diagonal of a square one."""
-    if not isinstance(given, list):
-        given = [given] * shape[0]
-    flat = not any(isinstance(row, list) for row in given)
-    if flat and shape[0] == shape[1] == len(given):
-        return np.diag(np.asarray(given, float))
-    lengths = [len(row) if isinstance(row, list) else 1 for row in given]
-    if flat or len(given) != shape[0] or set(lengths) != {shape[1]}:
+    if not isinstance(rows, list):
+        rows = [rows] * shape[0]
+    flat = not any(isinstance(row, list) for row in rows)
+    if flat and shape[0] == shape[1] == len(rows):
+        return np.diag(np.asarray(rows, float))
+    lengths = [len(row) if isinstance(row, list) else 1 for row in rows]
+    if flat or len(rows) != shape[0] or set(lengths) != {shape[1]}:
         got = (
-            f"a flat list of {len(given)}"
+            f"a flat list of {len(rows)}"
             if flat
-            else f"{len(given)} rows of {', '.join(map(str, sorted(set(lengths))))}"
+            else f"{len(rows)} rows of {', '.join(map(str, sorted(set(lengths))))}"
         )
         more = ", or the numbers of its diagonal" if shape[0] == shape[1] else ""
         raise UserError(
             f"{sizes.where}.{name}: got {got}, expected {shape[0]} x {shape[1]} ({sizes.n} states, {sizes.m} inputs, "
             f"{sizes.q} outputs) as a list of rows{more}."
         )
-    return np.asarray(given, float)
+    return np.asarray(rows, float)
 
 
-def weight(given: Weight, many: int, name: str, sizes: Sizes, definite: bool = False) -> NDArray[np.float64]:
-    """Return a symmetric weight [many, many] that is positive semidefinite, or `definite`."""
-    Q = matrix(given, (many, many), name, sizes)
+def weight(rows: Weight, n: int, name: str, sizes: Sizes, definite: bool = False) -> NDArray[np.float64]:
+    """Return a symmetric weight [n, n] that is positive semidefinite, or `definite`."""
+    Q = matrix(rows, (n, n), name, sizes)
     least, kind = np.linalg.eigvalsh((Q + Q.T) / 2)[0], "positive definite" if definite else "positive semidefinite"
     if not np.allclose(Q, Q.T, rtol=1e-9, atol=0) or (least <= 0 if definite else least < -1e-12 * abs(Q).max()):
         raise UserError(
-            f"{sizes.where}.{name}: got {brief_repr(given)}, whose least eigenvalue is {least:.3g}, expected a "
+            f"{sizes.where}.{name}: got {brief_repr(rows)}, whose least eigenvalue is {least:.3g}, expected a "
             f"symmetric, {kind} "
             "matrix; write larger numbers on its diagonal."
         )
     return Q
 
 
-def vector(
-    given: float | list[float] | None, default: float, many: int, name: str, sizes: Sizes
-) -> NDArray[np.float64]:
-    """Return an array [many]: one number for all inputs, or one for each."""
-    each = [default if given is None else given] * many if not isinstance(given, list) else given
-    if len(each) != many:
+def vector(value: float | list[float] | None, default: float, n: int, name: str, sizes: Sizes) -> NDArray[np.float64]:
+    """Return an array [n]: one number for all inputs, or one for each."""
+    values = [default if value is None else value] * n if not isinstance(value, list) else value
+    if len(values) != n:
         raise UserError(
-            f"{sizes.where}.{name}: got {len(each)} numbers, expected one, or one for each of {many} inputs."
+            f"{sizes.where}.{name}: got {len(values)} numbers, expected one, or one for each of {n} inputs."
         )
-    return np.asarray(each, float)
+    return np.asarray(values, float)
 
 
 def require_common(options: Options, sizes: Sizes, definite: bool = False) -> None:
@@ -139,8 +137,8 @@ def require_common(options: Options, sizes: Sizes, definite: bool = False) -> No
         if name not in sizes.states:
             raise unknown(f"{sizes.where}.set_point", "state", name, sizes.states)
     if (options.Q1 is None) != (options.Q2 is None):
-        one, other = ("Q1", "Q2") if options.Q2 is None else ("Q2", "Q1")
-        raise UserError(f"{sizes.where}: got {one} without {other}, expected both, or neither, without a cost.")
+        present, missing = ("Q1", "Q2") if options.Q2 is None else ("Q2", "Q1")
+        raise UserError(f"{sizes.where}: got {present} without {missing}, expected both, or neither, without a cost.")
     if options.Q1 is not None and options.Q2 is not None:
         weight(options.Q1, sizes.n, "Q1", sizes)
         weight(options.Q2, sizes.m, "Q2", sizes, definite)

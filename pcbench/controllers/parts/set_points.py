@@ -37,12 +37,12 @@ class SetPoint(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _one(self) -> "SetPoint":
+    def _require_one_kind(self) -> "SetPoint":
         kinds = [kind for kind in ("step", "sine", "table") if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"one of step, sine, table, not {' and '.join(kinds) or 'none'}")
-        allowed = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
-        for key in self.model_fields_set - allowed - set(kinds):
+        extra_keys = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
+        for key in self.model_fields_set - extra_keys - set(kinds):
             raise ValueError(f"no {key} with {kinds[0]}")
         times = [t for t, _ in self.table or ()]
         if sorted(set(times)) != times:
@@ -59,9 +59,9 @@ class SetPoint(BaseModel):
         return np.append(0.0, values)[np.searchsorted(times - 1e-9, t, side="right")]
 
 
-def _step(given: object) -> object:
+def _step(value: object) -> object:
     """Return a number as a step of that size at t = 0; anything else unchanged."""
-    return {"step": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
+    return {"step": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 SetPoints = dict[str, Annotated[SetPoint, BeforeValidator(_step)]]  # by state
@@ -74,27 +74,27 @@ class Reference(NamedTuple):
     u: NDArray[np.float64]  # [T, m]
 
 
-def rest(Phi: Matrix, Gamma: Matrix, chosen: list[int]) -> Matrix:
-    """Return the map [n + m, r] from the set points of the chosen states to x_ref and u_ref."""
+def equilibrium_map(Phi: Matrix, Gamma: Matrix, indices: list[int]) -> Matrix:
+    """Return the map [n + m, r] from the set points of the states `indices` to x_ref and u_ref."""
     n, m = Gamma.shape
-    system, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in chosen]
-    out = np.zeros((n + m, len(chosen)))
-    out[chosen, range(len(chosen))] = 1.0
+    system, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in indices]
+    out = np.zeros((n + m, len(indices)))
+    out[indices, range(len(indices))] = 1.0
     size = float(np.linalg.norm(system[:, free], 2))
     rounding = ROUNDING * (n + m) * max(float(np.linalg.norm(Phi, 2)), 1.0)  # of Phi - I
     if size > rounding:
-        out[free] = np.linalg.lstsq(system[:, free], -system[:, chosen], rcond=rounding / size)[0]
+        out[free] = np.linalg.lstsq(system[:, free], -system[:, indices], rcond=rounding / size)[0]
     return out
 
 
 def reference(
-    given: Mapping[str, SetPoint], states: tuple[str, ...], tick: tuple[Matrix, Matrix], dt: float, rows: int
+    set_points: Mapping[str, SetPoint], states: tuple[str, ...], tick: tuple[Matrix, Matrix], dt: float, rows: int
 ) -> Reference:
     """Return x_ref and u_ref for set points by state, at `rows` ticks of dt seconds from tick 0 on; zeros without any."""
     t, (Phi, Gamma) = dt * np.arange(rows, dtype=float), tick
     n, m = Gamma.shape
-    if not given:
+    if not set_points:
         return Reference(np.zeros((rows, n)), np.zeros((rows, m)))
-    r = np.stack([point.at_times(t) for point in given.values()], 1)
-    joint = r @ rest(Phi, Gamma, [states.index(name) for name in given]).T
+    r = np.stack([point.at_times(t) for point in set_points.values()], 1)
+    joint = r @ equilibrium_map(Phi, Gamma, [states.index(name) for name in set_points]).T
     return Reference(joint[:, :n], joint[:, n:])

@@ -11,7 +11,7 @@ from scipy.linalg import eigvals
 
 from pcbench.dynamics.linear import Model
 from pcbench.papers.claim import MISPRINT, Claim, all_digits, report_finding, rounds_to
-from pcbench.plants.quadruple_tank import POINTS, Numbers, linearized, time_constants
+from pcbench.plants.quadruple_tank import POINTS, Numbers, linearize, time_constants
 
 SEEN = "Johansson 2000, in CPSEC/probabilistic-recovery [S]"
 COMPUTED = "Johansson 2000 [V]"
@@ -42,7 +42,7 @@ def _rows(point: str) -> Iterator[Claim]:
             row = row._replace(reproduced=f"{row.reproduced}; {at_rest[i]:.1f} at the equilibrium", verdict=MISPRINT)
         yield row
     yield all_digits(f"{point}: equilibrium of the printed constants [cm]", EQUILIBRIA[point], exact, COMPUTED)
-    model = linearized(n, printed)
+    model = linearize(n, printed)
     G = -model.C @ np.linalg.solve(model.A, model.B)
     relative = G[0, 0] * G[1, 1] / np.linalg.det(G)
     yield all_digits(f"{point}: transmission zeros [1/s]", ZEROS[point], zeros(model), COMPUTED)
