@@ -161,7 +161,7 @@ def design(context: DesignContext, options: Options) -> Design:
     vmax = _bound(options.noise_bound, std, f"{where}: noise_bound", "output")
     box = options.sigmas * np.sqrt(np.diag(context.P0))
     box = _bound(options.initial_bound, box, f"{where}: initial_bound", "state")
-    noise = interval_observer.accumulated(Phi_tick, columns, modes.back, context.ticks)
+    noise = interval_observer.accumulate_noise(Phi_tick, columns, modes.back, context.ticks)
     width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, context.ticks)], vmax)
     gains = Gains(
         motion=prediction.motion_of(model, context),

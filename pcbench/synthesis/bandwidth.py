@@ -36,11 +36,11 @@ def slow_modes(Phi: Matrix, C: Matrix, fastest: float) -> SlowModes:
     """Return the modes of Phi whose absolute value is at least `fastest`."""
     if fastest == 0:
         return SlowModes(Phi, C, np.eye(len(Phi)), np.eye(len(Phi)))
-    scaled = Phi / (fastest * (1 - ZERO))  # its slow modes are those outside the unit circle
-    _, Z, k = schur(scaled, sort="ouc")
-    _, left, _ = schur(scaled.T, sort="ouc")
+    M = Phi / (fastest * (1 - ZERO))  # its slow modes are those outside the unit circle
+    _, Z, k = schur(M, sort="ouc")
+    _, Z_left, _ = schur(M.T, sort="ouc")
     V = Z[:, :k]
-    W = np.asarray(np.linalg.solve(left[:, :k].T @ V, left[:, :k].T), float)
+    W = np.asarray(np.linalg.solve(Z_left[:, :k].T @ V, Z_left[:, :k].T), float)
     return SlowModes(W @ Phi @ V, C @ V, V, W)
 
 
@@ -97,14 +97,14 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
     rows = [model.C]
     for _ in range(n):
         rows.append(rows[-1] @ model.A)
-    known = "a known function of the state among its unknown inputs" if model.known is not None else ""
+    known_part = "a known function of the state among its unknown inputs" if model.known is not None else ""
     problem = (
         ("a discrete plant" if model.discrete else "")
         or (f"{len(model.C)} outputs" if len(model.C) != 1 else "")
         or (f"{G.shape[1]} disturbed inputs" if G.shape[1] != 1 else "")
         or ("feedthrough" if model.feedthrough.any() else "")
         or (f"{n} states" if longest is not None and n != longest else "")
-        or known
+        or known_part
     )
     if not problem:
         size = [float((abs(row) @ abs(G)).item()) for row in rows[:n]]

@@ -34,7 +34,7 @@ class Links(NamedTuple):
     K: Matrix  # [n, q], the same for all
 
 
-def divided(delay: int, m: int) -> tuple[int, ...]:
+def divide(delay: int, m: int) -> tuple[int, ...]:
     """Return m whole numbers of sum `delay` [ticks] that differ by at most 1."""
     return tuple(delay * (j + 1) // m - delay * j // m for j in range(m))
 
@@ -82,13 +82,13 @@ def _largest(F: Matrix) -> float:
 def certify(Phi: Matrix, C: Matrix, links: Links, period: int) -> Certificate:
     """Return the certificate, whose margin is 1 minus the largest factor of the links' errors over a sampling period."""
     first = radius(Phi, C, links.K, links.d[0], period)
-    others = {d: radius(Phi, C, links.K, d, 0) ** period for d in set(links.d[1:])}
+    other_radii = {d: radius(Phi, C, links.K, d, 0) ** period for d in set(links.d[1:])}
     numbers = {
         "links": len(links.d),
         "radius_of_first_link": first,
-        "radius_of_others": max(others.values(), default=0.0),
+        "radius_of_others": max(other_radii.values(), default=0.0),
     }
-    return Certificate(WHAT, 1 - max(first, *others.values(), 0.0), "numpy", "computed", numbers)
+    return Certificate(WHAT, 1 - max(first, *other_radii.values(), 0.0), "numpy", "computed", numbers)
 
 
 def design(
@@ -108,15 +108,15 @@ def design(
     Raises:
         DesignError: no number of links that was tried is certified.
     """
-    tried = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
-    for count in tried:
-        wait = max(3.0 * max(divided(delay, count)), 1.5 * period)
+    counts = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
+    for count in counts:
+        wait = max(3.0 * max(divide(delay, count)), 1.5 * period)
         K = gain(Phi, C, np.exp(-1 / wait) if decay is None else decay, where)
-        links = Links(divided(delay, count), K)
+        links = Links(divide(delay, count), K)
         certificate = certify(Phi, C, links, period)
         if certificate.margin > 0:
             return links, certificate
     raise DesignError(
-        f"{where}: got errors that do not decay with {'up to ' if m is None else ''}{max(tried)} links over a delay of {delay} "
-        "ticks, expected a radius below 1; take another omega, more links, or kf."
+        f"{where}: got errors that do not decay with {'up to ' if m is None else ''}{max(counts)} links over a delay of "
+        f"{delay} ticks, expected a radius below 1; take another omega, more links, or kf."
     )

@@ -171,12 +171,12 @@ def least_eigenvalue(M: np.ndarray) -> float:
     return float(np.linalg.eigvalsh((M + M.T) / 2)[0]) if np.isfinite(M).all() else float("nan")
 
 
-def one_clock(setting: DesignContext, observer: str) -> int:
+def one_clock(context: DesignContext, observer: str) -> int:
     """Return the (mean) period [ticks] of the clock of all channels; raise UserError if their periods or delays differ."""
-    if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
+    if len(set(context.period)) > 1 or len(set(context.delay)) > 1:
         raise UserError(
-            f"observer {observer} in {setting.scenario}: got channels with periods {setting.period} and delays "
-            f"{setting.delay} (ticks), expected one period and one delay for all; give equal ones or leave "
+            f"observer {observer} in {context.scenario}: got channels with periods {context.period} and delays "
+            f"{context.delay} (ticks), expected one period and one delay for all; give equal ones or leave "
             f"{observer} out."
         )
-    return setting.period[0]
+    return context.period[0]

@@ -36,7 +36,7 @@ from pcbench.errors import DesignError, first_sentence
 from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.pole_placement import by_poles
-from pcbench.synthesis.sampled_model import SampledPlant, invertible, noise_over, power, require_seen
+from pcbench.synthesis.sampled_model import SampledPlant, invertible, noise_over, power, require_visible
 
 LARGEST = 600  # rows of the map of one sample; above, its radius is computed from the links
 
@@ -77,7 +77,7 @@ def links(plant: SampledPlant, gain: str, pole: float, per_sample: bool, output:
 
 def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
     """Return K = A^d P C'(C P C' + R)^-1 [n, q] of the stationary Kalman predictor over d samples."""
-    require_seen(plant, d, where)
+    require_visible(plant, d, where)
     Ad, C = power(plant.A, d), plant.C
     try:
         P = solve_discrete_are(Ad.T, C.T, noise_over(plant, d), plant.R)
@@ -154,8 +154,8 @@ def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
     exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
     low, high = (
-        max(max(radius(link.F) + side * rounding(link.F, link.d), 0) ** (1 / link.d) for link in real)
-        for side in (-1, 1)
+        max(max(radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in real)
+        for sign in (-1, 1)
     )
     same = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
@@ -172,11 +172,11 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     """Return Phi_ij [n, n] of every link i with d > 0, for each link j before it."""
     real, out = [link for link in chain if link.d], []
     for i, link in enumerate(real):
-        path, each = link.K * (1 - link.seen), []
+        path, row = link.K * (1 - link.seen), []
         for before in real[i + 1 :]:
-            each.append(path @ before.W)
+            row.append(path @ before.W)
             path = path @ before.V * (1 - before.seen)
-        out.append(each)
+        out.append(row)
     return out
 
 
@@ -187,7 +187,7 @@ def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOL
     """
     rows, change = couplings(chain), scale / scale[:, None]  # M for x becomes M for x / scale
     F = [link.F * change for link in chain if link.d]
-    Phi = [[M * change for M in each] for each in rows]
+    Phi = [[M * change for M in row] for row in rows]
     results: dict[float, tuple[float, Matrix]] = {}
 
     def loss(exponent: float) -> float:
@@ -204,8 +204,8 @@ def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOL
 
 
 def _inequality(F: Matrix, Phi: list[Matrix], e: float, P: Any) -> Any:
-    coupled = [M.T @ P @ M for M in Phi]
-    return P - (1 + e) * F.T @ P @ F - sum(len(Phi) * (1 + 1 / e) * term for term in coupled)
+    terms = [M.T @ P @ M for M in Phi]
+    return P - (1 + e) * F.T @ P @ F - sum(len(Phi) * (1 + 1 / e) * term for term in terms)
 
 
 def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str, ...]) -> Matrix:
@@ -214,9 +214,9 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str,
     n = len(F[0])
     P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
     rules = [P << np.eye(n), P >> t * np.eye(n)]
-    for M, each in zip(F, Phi, strict=True):
-        left = _inequality(M, each, e, P)
-        rules.append((left + left.T) / 2 >> t * np.eye(n))
+    for M, row in zip(F, Phi, strict=True):
+        form = _inequality(M, row, e, P)
+        rules.append((form + form.T) / 2 >> t * np.eye(n))
     for solver in among:
         try:
             return solvers.minimise(-t, rules, (P,), "(29)", solver, "none is needed")[1][0]
@@ -226,5 +226,5 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str,
 
 
 def _margin(F: list[Matrix], Phi: list[list[Matrix]], e: float, P: Matrix) -> float:
-    worst = min(least_eigenvalue(_inequality(M, each, e, P)) for M, each in zip(F, Phi, strict=True))
+    worst = min(least_eigenvalue(_inequality(M, row, e, P)) for M, row in zip(F, Phi, strict=True))
     return min(worst, least_eigenvalue(P))

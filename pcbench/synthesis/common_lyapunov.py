@@ -38,9 +38,9 @@ class ErrorMaps(NamedTuple):
 
 
 def design(
-    corners: ErrorMaps, every: Callable[[CommonLyapunov], ErrorMaps], rate: float, what: str, where: str
+    corners: ErrorMaps, maps_of: Callable[[CommonLyapunov], ErrorMaps], rate: float, inequality: str, where: str
 ) -> tuple[CommonLyapunov, Certificate]:
-    """Return P (and G) computed at the `corners` of a range, certified at all maps that `every` returns, at `rate` [1/s].
+    """Return P (and G) computed at the `corners` of a range, certified at all maps that `maps_of` returns, at `rate` [1/s].
 
     Raises DesignError if no answer is certified.
     """
@@ -52,11 +52,11 @@ def design(
             CommonLyapunov, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
         )
 
-    return solvers.proven(
+    return solvers.solve_certified(
         ask,
-        lambda found: certify(found, every(found), rate, what),
+        lambda solution: certify(solution, maps_of(solution), rate, inequality),
         where,
-        hopeless=lambda found: found.status == "optimal" and found.t <= 0,
+        hopeless=lambda solution: solution.status == "optimal" and solution.t <= 0,
     )
 
 
@@ -78,15 +78,15 @@ def solve(corners: ErrorMaps, rate: float, where: str, solver: str = "CLARABEL")
     return CommonLyapunov(X, G, float(least), status, solver)
 
 
-def certify(found: CommonLyapunov, every: ErrorMaps, rate: float, what: str) -> Certificate:
+def certify(solution: CommonLyapunov, maps: ErrorMaps, rate: float, inequality: str) -> Certificate:
     """Check [P, M'; M, P] > 0 at every map that can occur; the margin is the least eigenvalue."""
-    P = np.asarray(found.P, float)
-    if P.shape != every.J.shape[1:]:
-        return Certificate(what, float("nan"), found.solver, found.status)
-    M, wide = np.exp(rate * every.seconds)[:, None, None] * (P @ every.J), np.broadcast_to(P, every.J.shape)
+    P = np.asarray(solution.P, float)
+    if P.shape != maps.J.shape[1:]:
+        return Certificate(inequality, float("nan"), solution.solver, solution.status)
+    M, wide = np.exp(rate * maps.seconds)[:, None, None] * (P @ maps.J), np.broadcast_to(P, maps.J.shape)
     blocks = np.concatenate([np.concatenate([wide, M.transpose(0, 2, 1)], 2), np.concatenate([M, wide], 2)], 1)
     margin = min(float(np.linalg.eigvalsh(blocks).min()), least_eigenvalue(P))
-    radius = float(np.abs(np.linalg.eigvals(every.J)).max())
-    proven = error_bounds.rate(every.J, P, every.seconds)
+    radius = float(np.abs(np.linalg.eigvals(maps.J)).max())
+    rate_bound = error_bounds.rate(maps.J, P, maps.seconds)
     numbers = {"P": P, "largest_spectral_radius": radius}
-    return Certificate(what, margin, found.solver, found.status, numbers, proven)
+    return Certificate(inequality, margin, solution.solver, solution.status, numbers, rate_bound)

@@ -57,9 +57,9 @@ def largest_stable(radius: Callable[[float], float], upper: float, steps: int = 
     grid = np.linspace(upper / steps, upper, steps)
     over = next((i for i, period in enumerate(grid) if radius(float(period)) > 1), None)
     if not over:
-        side = "stable at all" if over is None else "unstable at the first"
+        problem = "stable at all" if over is None else "unstable at the first"
         raise DesignError(
-            f"the search for the largest constant period: got errors that are {side} of {steps} periods up to {upper:g}, "
+            f"the search for the largest constant period: got errors that are {problem} of {steps} periods up to {upper:g}, "
             "expected a limit between them; search another range."
         )
     return float(brentq(lambda period: radius(period) - 1, grid[over - 1], grid[over], xtol=1e-13))

@@ -20,7 +20,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 from pcbench.synthesis import common_lyapunov, current_lmi, error_bounds, riccati, robust_lmi, solvers
 from pcbench.synthesis.certificate import Certificate, DesignContext, require_certified
-from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
+from pcbench.synthesis.common_lyapunov import ErrorMaps
 from pcbench.synthesis.parameter_ranges import Maps
 from pcbench.value_cache import cached_by_value
 
@@ -28,9 +28,9 @@ ROBUST = ("decay", "h2", "hinf")
 
 
 def find(
-    setting: DesignContext,
+    context: DesignContext,
     method: str,
-    given: Matrix | None,
+    gain: Matrix | None,
     q: float,
     decay: float | None,
     maps: Maps | None,
@@ -41,22 +41,22 @@ def find(
     `q`: intensity of process noise through the input, per second. `maps`: range of the certificate; None: the mean period
     only.
     """
-    period, C, R = setting.period[0], setting.model.C, np.diag(setting.noise_variance)
-    Phi, Q = _over_period(setting.model, setting.dt, q, setting.process_noise, period)
-    delay = setting.delay[0]
-    ahead = linear.over(linear.doublings(setting.model, setting.dt, linear.bits_for(delay)), delay)
-    mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
+    period, C, R = context.period[0], context.model.C, np.diag(context.noise_variance)
+    Phi, Q = _over_period(context.model, context.dt, q, context.process_noise, period)
+    delay = context.delay[0]
+    Phi_delay = linear.over(linear.doublings(context.model, context.dt, linear.bits_for(delay)), delay)
+    mean = Maps(Phi[None], Q[None], np.array([period * context.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
-    S = riccati.near(riccati.prior_size(setting))
+    S = riccati.near(riccati.prior_size(context))
     s = riccati.near(np.linalg.norm(C * S, axis=1))
     into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
-    if given is None and method in ROBUST:
-        size = _size(setting, Phi, Q, R)
-        task = robust_lmi.RobustTask(maps or mean, C, R, ahead / riccati.prior_size(setting)[:, None], size)
-        found, certificate = robust_lmi.design(task, method, decay, where)  # type: ignore[arg-type]
-        L = np.asarray(found.L, float)
+    if gain is None and method in ROBUST:
+        size = _size(context, Phi, Q, R)
+        task = robust_lmi.RobustTask(maps or mean, C, R, Phi_delay / riccati.prior_size(context)[:, None], size)
+        solution, certificate = robust_lmi.design(task, method, decay, where)  # type: ignore[arg-type]
+        L = np.asarray(solution.L, float)
     else:
-        start = None if given is None else given / S[:, None] * s
+        start = None if gain is None else gain / S[:, None] * s
         L, certificate = at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
             wide = maps or mean
@@ -64,7 +64,7 @@ def find(
         L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
     L1 = L / S[:, None] * s
-    X = ahead @ (_noise_alone(L1, C1, Phi * into, R1) * np.outer(S, S)) @ ahead.T
+    X = Phi_delay @ (_noise_alone(L1, C1, Phi * into, R1) * np.outer(S, S)) @ Phi_delay.T
     numbers = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -72,9 +72,9 @@ def find(
 @cached_by_value
 def _over_period(model: linear.Model, dt: float, q: float, process: Matrix, period: int) -> tuple[Matrix, Matrix]:
     """Return the map over a period [ticks], and the covariance that process noise adds."""
-    doubled = linear.doublings(model, dt, linear.bits_for(period))
-    noise = linear.noise_doublings(model, linear.input_noise(model, q, dt) + process, dt, len(doubled))
-    return linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+    binary_maps = linear.doublings(model, dt, linear.bits_for(period))
+    noise = linear.noise_doublings(model, linear.input_noise(model, q, dt) + process, dt, len(binary_maps))
+    return linear.over(binary_maps, period), linear.noise_over(binary_maps, noise, period)
 
 
 @cached_by_value
@@ -85,16 +85,16 @@ def _noise_alone(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
 
 @cached_by_value
 def at_the_mean(
-    method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
+    method: str, gain: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
 ) -> tuple[Matrix, Certificate]:
     """Return L and its certificate at the mean period, by one of the first three methods."""
 
-    def certify(found: current_lmi.CurrentGain) -> Certificate:
-        sharp = sharpened(found)
+    def certify(solution: current_lmi.CurrentGain) -> Certificate:
+        sharp = sharpen(solution)
         return current_lmi.certify(sharp, Phi, C, float(seconds[0]))
 
-    def sharpened(found: current_lmi.CurrentGain) -> current_lmi.CurrentGain:
-        return current_lmi.sharpen(found, Phi, C) if given is None and method == "lmi" else found
+    def sharpen(solution: current_lmi.CurrentGain) -> current_lmi.CurrentGain:
+        return current_lmi.sharpen(solution, Phi, C) if gain is None and method == "lmi" else solution
 
     def ask(solver: str) -> current_lmi.CurrentGain:
         name = f"lmi23-{solver.lower()}"
@@ -102,13 +102,13 @@ def at_the_mean(
             current_lmi.CurrentGain, name, (Phi, C), lambda: current_lmi.solve(Phi, C, where, solver)
         )
 
-    if given is None and method == "lmi":
-        found, certificate = solvers.proven(ask, certify, where)
+    if gain is None and method == "lmi":
+        solution, certificate = solvers.solve_certified(ask, certify, where)
     else:
-        L = riccati.current_gain(Phi, C, Q, R, where) if given is None else given
-        found = current_lmi.lyapunov(Phi, C, L)
-        certificate = require_certified(certify(found), where)
-    return np.asarray(sharpened(found).L, float), certificate
+        L = riccati.current_gain(Phi, C, Q, R, where) if gain is None else gain
+        solution = current_lmi.lyapunov(Phi, C, L)
+        certificate = require_certified(certify(solution), where)
+    return np.asarray(sharpen(solution).L, float), certificate
 
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
@@ -120,24 +120,20 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
             "take a slower decay or a narrower range, or gain = 'h2'."
         )
-    every = ErrorMaps(F, maps.seconds)
-
-    def same(found: CommonLyapunov) -> ErrorMaps:
-        return every
-
-    what = f"F'P F < e^{{-2 {decay:g} T}} P at every map of the range, F = (I - L C) Phi"
+    error_maps = ErrorMaps(F, maps.seconds)
+    inequality = f"F'P F < e^{{-2 {decay:g} T}} P at every map of the range, F = (I - L C) Phi"
     corners = ErrorMaps(F[maps.corners], maps.seconds[maps.corners])
-    return common_lyapunov.design(corners, same, decay, what, where)[1]
+    return common_lyapunov.design(corners, lambda solution: error_maps, decay, inequality, where)[1]
 
 
-def _size(setting: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+def _size(context: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the size of the errors [n] for the solver: that of a Kalman filter if one exists, otherwise that of x(0)."""
-    prior = riccati.prior_size(setting)
+    prior = riccati.prior_size(context)
     try:
-        L = riccati.current_gain(Phi, setting.model.C, Q, R, setting.scenario)
+        L = riccati.current_gain(Phi, context.model.C, Q, R, context.scenario)
     except DesignError:
         return prior
-    keep = np.eye(len(Phi)) - L @ setting.model.C
+    keep = np.eye(len(Phi)) - L @ context.model.C
     X = error_bounds.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior

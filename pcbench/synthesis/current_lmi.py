@@ -57,8 +57,8 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
 
     if (r := rank(C)) < len(C):  # Y is not unique: solve for independent outputs, C = C M' M, and distribute their gain
         M = np.linalg.svd(C)[2][:r]
-        found = solve(Phi, M, where, solver)
-        return found._replace(L=found.L @ np.linalg.pinv(C @ M.T))
+        solution = solve(Phi, M, where, solver)
+        return solution._replace(L=solution.L @ np.linalg.pinv(C @ M.T))
 
     n, q = Phi.shape[0], C.shape[0]
     P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
@@ -71,54 +71,54 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
 
 def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
     """Return a given gain with P from M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
-    closed = (np.eye(len(Phi)) - L @ C) @ Phi
+    F = (np.eye(len(Phi)) - L @ C) @ Phi
     P = np.eye(len(Phi))
-    if np.abs(np.linalg.eigvals(closed)).max() < 1:
+    if np.abs(np.linalg.eigvals(F)).max() < 1:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LinAlgWarning)  # an ill-conditioned P is judged by its certificate
-            P = np.asarray(solve_discrete_lyapunov(closed.T, P), dtype=np.float64)
+            P = np.asarray(solve_discrete_lyapunov(F.T, P), dtype=np.float64)
         P = P / np.linalg.norm(P, 2)
     return CurrentGain(P, L, 0.0, "solved", "scipy")
 
 
-def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
+def sharpen(solution: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
     """Return the unique gain of the module's docstring; an answer that it cannot reproduce is returned as it is."""
-    L, I, reached = closed_form(Phi, C), np.eye(len(Phi)), lmi_margin(found, Phi, C)
+    L, I, margin = closed_form(Phi, C), np.eye(len(Phi)), lmi_margin(solution, Phi, C)
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
-    if t > reached - SAME:
-        return found._replace(P=I, L=L, t=t)
-    least = found._replace(L=least_norm(found, Phi, C)) if np.isfinite(reached) else found
-    return least if lmi_margin(least, Phi, C) > reached - SAME else found
+    if t > margin - SAME:
+        return solution._replace(P=I, L=L, t=t)
+    least = solution._replace(L=least_norm(solution, Phi, C)) if np.isfinite(margin) else solution
+    return least if lmi_margin(least, Phi, C) > margin - SAME else solution
 
 
-def least_norm(found: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
+def least_norm(solution: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
     """Return the gain of least norm that attains t with P: Phi D^-1 c (c' D^-1 c)^-1, D = P - t I."""
-    size, V = np.linalg.eigh(found.P - found.t * np.eye(len(Phi)))
+    size, V = np.linalg.eigh(solution.P - solution.t * np.eye(len(Phi)))
     root = V / np.sqrt(np.maximum(size, FLAT * size.max()))  # D^-1 = root root'
     return np.asarray(Phi @ root @ np.linalg.pinv(C @ Phi @ root), float)
 
 
-def lmi_margin(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
+def lmi_margin(solution: CurrentGain, Phi: Matrix, C: Matrix) -> float:
     """Return the t that an answer attains, independent of its status; minus infinity for wrong shapes."""
-    P, L = np.asarray(found.P, float), np.asarray(found.L, float)
+    P, L = np.asarray(solution.P, float), np.asarray(solution.L, float)
     if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:
         return -np.inf
     M = P @ (np.eye(len(P)) - L @ C) @ Phi
     return least_eigenvalue(np.block([[P, M.T], [M, P]]))
 
 
-def certify(found: CurrentGain, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
+def certify(solution: CurrentGain, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
     """Check (23) with the gain itself: the margin is the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi.
 
     `seconds` is the time from sample to sample, for the decay rate.
     """
-    P, L = found.P, found.L
-    closed = (np.eye(len(Phi)) - L @ C) @ Phi
-    M = P @ closed
+    P, L = solution.P, solution.L
+    F = (np.eye(len(Phi)) - L @ C) @ Phi
+    M = P @ F
     block = np.block([[P, M.T], [M, P]])
     margin = min(least_eigenvalue(block), least_eigenvalue(P))
-    numbers = {"P": P, "L": L, "eigenvalues": np.linalg.eigvals(closed)}
-    rate = error_bounds.rate(closed[None], P, np.array([seconds]))
+    numbers = {"P": P, "L": L, "eigenvalues": np.linalg.eigvals(F)}
+    rate = error_bounds.rate(F[None], P, np.array([seconds]))
     return Certificate(
-        "(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, found.solver, found.status, numbers, rate
+        "(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, solution.solver, solution.status, numbers, rate
     )

@@ -86,32 +86,34 @@ def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> He
     P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
     R = [cp.Variable((n, n), symmetric=True) for _ in task.intervals]
     P2 = cp.Variable((n, n))
-    scaled = max(task.intervals) * L
+    hL = max(task.intervals) * L
     if L.size:
         last = P3 = cp.Variable((n, n))
-        Y = P2.T @ scaled, P3.T @ scaled
+        Y = P2.T @ hL, P3.T @ hL
     else:
         last = cp.Variable((n, q))
         P3, Y = task.ratio * P2, (last, task.ratio * last)
-    rules = [P << np.eye(n), P >> t * np.eye(n), *(each >> t * np.eye(n) for each in R)]
+    rules = [P << np.eye(n), P >> t * np.eye(n), *(R_g >> t * np.eye(n) for R_g in R)]
     for form in map(cp.bmat, corner_forms(task, P, R, (P2.T, P3.T), Y)):
         rules.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
     advice = "shorten the intervals, take a slower decay, or narrow the ranges"
     status, (X, margin, X2, Z, *S) = solvers.minimise(-t, rules, (P, t, P2, last, *R), where, solver, advice)
-    X3, gain = (Z, scaled) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
+    X3, gain = (Z, hL) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
     return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)
 
 
-def certify(task: HeldTask, found: HeldGain) -> Certificate:
+def certify(task: HeldTask, solution: HeldGain) -> Certificate:
     """Check P > 0, R_g > 0 and the form < 0 at every corner; the margin is the least eigenvalue minus its rounding error."""
-    what = "V' + 2 a V < 0 at every corner of ages and models, V of Fridman 2010 with one term per clock"
-    P, R, W2, W3, L = (np.asarray(each, float) for each in (found.P, found.R, found.P2.T, found.P3.T, found.L))
-    if not all(np.isfinite(each).all() for each in (P, R, W2, W3, L)):
-        return Certificate(what, float("nan"), found.solver, found.status)
+    inequality = "V' + 2 a V < 0 at every corner of ages and models, V of Fridman 2010 with one term per clock"
+    P, R, W2, W3, L = (
+        np.asarray(array, float) for array in (solution.P, solution.R, solution.P2.T, solution.P3.T, solution.L)
+    )
+    if not all(np.isfinite(array).all() for array in (P, R, W2, W3, L)):
+        return Certificate(inequality, float("nan"), solution.solver, solution.status)
     forms = [-np.block(rows) for rows in corner_forms(task, P, R, (W2, W3), (W2 @ L, W3 @ L))]
     margin = min(least_eigenvalue(M) - len(M) * np.finfo(float).eps * float(np.abs(M).sum()) for M in (P, *R, *forms))
     numbers = {"L": L / max(task.intervals), "P": P, "longest_intervals": np.array(task.intervals)}
-    return Certificate(what, margin, found.solver, found.status, numbers, task.rate or float("nan"))
+    return Certificate(inequality, margin, solution.solver, solution.status, numbers, task.rate or float("nan"))
 
 
 def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple[Matrix, Certificate]:
@@ -119,30 +121,30 @@ def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple
 
     `scale` [n] are units of the states for the solver. Raises DesignError if no gain is certified.
     """
-    scaled = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
-    given = UNKNOWN if L is None else L / scale[:, None]
+    unit_task = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
+    gain0 = UNKNOWN if L is None else L / scale[:, None]
     arrays = (
-        scaled.A,
-        scaled.C,
-        np.array(scaled.clocks),
-        np.array(scaled.intervals),
-        np.array([scaled.rate, scaled.ratio]),
-        given,
+        unit_task.A,
+        unit_task.C,
+        np.array(unit_task.clocks),
+        np.array(unit_task.intervals),
+        np.array([unit_task.rate, unit_task.ratio]),
+        gain0,
     )
 
     def ask(solver: str) -> HeldGain:
         return solvers.solve_or_load(
-            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(scaled, given, where, solver)
+            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(unit_task, gain0, where, solver)
         )
 
-    found, certificate = solvers.proven(
+    solution, certificate = solvers.solve_certified(
         ask,
-        lambda found: certify(scaled, found),
+        lambda solution: certify(unit_task, solution),
         where,
-        hopeless=lambda found: found.status == "optimal" and found.t <= 0,
+        hopeless=lambda solution: solution.status == "optimal" and solution.t <= 0,
     )
-    gain = scale[:, None] * np.asarray(found.L, float) / max(task.intervals) if L is None else L
-    numbers = dict(certificate.numbers) | {"L": gain, "P": np.asarray(found.P) / np.outer(scale, scale)}
+    gain = scale[:, None] * np.asarray(solution.L, float) / max(task.intervals) if L is None else L
+    numbers = dict(certificate.numbers) | {"L": gain, "P": np.asarray(solution.P) / np.outer(scale, scale)}
     return gain, certificate._replace(numbers=numbers)
 
 
@@ -156,11 +158,11 @@ def largest_interval(task: HeldTask, L: Matrix | None, upper: float) -> tuple[fl
         middle = (low + high) / 2
         wide = task._replace(intervals=(middle,) * len(task.intervals))
         try:
-            found = certify(wide, solve(wide, UNKNOWN if L is None else L, "the largest interval"))
+            certificate = certify(wide, solve(wide, UNKNOWN if L is None else L, "the largest interval"))
         except DesignError:
-            found = None
-        if found and found.margin > 0:
-            low, best = middle, found
+            certificate = None
+        if certificate and certificate.margin > 0:
+            low, best = middle, certificate
         else:
             high = middle
     if best is None:

@@ -41,9 +41,9 @@ def gain(Phi: Matrix, C: Matrix, pole: float, poles: list[float] | None, where: 
     """
     slow = bandwidth.slow_modes(Phi, C, 0.0 if poles else FASTEST)
     k = len(slow.Phi)
-    wanted = np.array(poles) if poles else pole * np.arange(k, 0, -1) / max(k, 1)
+    target_poles = np.array(poles) if poles else pole * np.arange(k, 0, -1) / max(k, 1)
     return slow.V @ bandwidth.predictor_gain(
-        slow.Phi, slow.C @ slow.Phi, wanted, where
+        slow.Phi, slow.C @ slow.Phi, target_poles, where
     )  # (I - L C) Phi has the poles of M
 
 
@@ -76,7 +76,7 @@ def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGain
 
 
 @cached_by_value
-def accumulated(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matrix:
+def accumulate_noise(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matrix:
     """Return what process noise adds to r over s = 0 .. ticks ticks, [ticks + 1, n]: the sum of |V^-1 Phi^i b| over i < s.
 
     Args:
@@ -93,16 +93,16 @@ def accumulated(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matri
     return out
 
 
-def final_width(found: IntervalGains, Phi: Matrix, C: Matrix, noise: Matrix, vmax: Matrix) -> Matrix:
+def final_width(gains: IntervalGains, Phi: Matrix, C: Matrix, noise: Matrix, vmax: Matrix) -> Matrix:
     """Return the width of the interval of each state [n] after many samples, before the next is used.
 
     Args:
-        found: the gain with its modes.
+        gains: the gain with its modes.
         Phi: [n, n], over a sampling period.
         C: [q, n].
         noise: [n], what process noise adds to r over a sampling period.
         vmax: [q].
     """
-    K = Phi @ found.L
-    N, added = np.abs(found.back @ (Phi - K @ C) @ found.V), noise + np.abs(found.back @ K) @ vmax
-    return np.asarray(2 * np.abs(found.V) @ np.linalg.solve(np.eye(len(N)) - N, added))
+    K = Phi @ gains.L
+    N, rhs = np.abs(gains.back @ (Phi - K @ C) @ gains.V), noise + np.abs(gains.back @ K) @ vmax
+    return np.asarray(2 * np.abs(gains.V) @ np.linalg.solve(np.eye(len(N)) - N, rhs))

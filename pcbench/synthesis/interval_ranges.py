@@ -66,10 +66,12 @@ def jump_gain(A: Matrix, C: Matrix, low: float, high: float, where: str) -> Matr
 def certify(error: SampledError, low: float, high: float, where: str) -> Certificate:
     """Compute P, and bound |G(s)| over the range; the margin is 1 minus the bound. Raises DesignError without an answer."""
     seconds = np.linspace(low, high, SHOWN)
-    found = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
-    worst = norm_bound(error, found.P, low, high)
-    what = f"|G(s)| < 1 for all s from {low:g} to {high:g} s, in the norm of P"
-    return Certificate(what, 1 - worst, found.solver, found.status, {"P": found.P, "largest_norm": worst})
+    solution = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
+    worst = norm_bound(error, solution.P, low, high)
+    inequality = f"|G(s)| < 1 for all s from {low:g} to {high:g} s, in the norm of P"
+    return Certificate(
+        inequality, 1 - worst, solution.solver, solution.status, {"P": solution.P, "largest_norm": worst}
+    )
 
 
 def norm_bound(error: SampledError, P: Matrix, low: float, high: float, cells: int = CELLS) -> float:
@@ -84,10 +86,10 @@ def norm_bound(error: SampledError, P: Matrix, low: float, high: float, cells: i
     F = S @ error.F @ np.linalg.inv(S)
     E, J = U @ error.E @ np.linalg.inv(S), S @ error.J @ np.linalg.inv(U)
     w, f = (high - low) / cells / 2, float(np.linalg.norm(F, 2))
-    rest = float(np.linalg.norm(E @ F @ F, 2)) * (np.expm1(f * w) - f * w) / f**2 if f else 0.0
+    remainder = float(np.linalg.norm(E @ F @ F, 2)) * (np.expm1(f * w) - f * w) / f**2 if f else 0.0
     to_next, middles = expm(F * 2 * w), [expm(F * (low + w)) @ J]
     while len(middles) < cells:
         middles.append(to_next @ middles[-1])
     X = np.stack(middles)  # exp(F s) J in the middle of each cell
     at, slope, size = (np.linalg.norm(Y, 2, axis=(1, 2)) for Y in (E @ X, E @ F @ X, X))
-    return float((at + w * slope + rest * size).max())
+    return float((at + w * slope + remainder * size).max())

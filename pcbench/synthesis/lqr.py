@@ -45,19 +45,23 @@ def over_period(tick: tuple[Matrix, Matrix], ticks: int) -> tuple[Matrix, Matrix
     return F, G
 
 
-def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, every: int, late: int) -> Matrix:
+def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, period: int, late: int) -> Matrix:
     """Return the map over one period of the plant, the law and its commands in transit, which act `late` ticks later.
 
-    The loop is stable, with a known state, if its eigenvalues are within the unit circle. A decision is made every `every`
+    The loop is stable, with a known state, if its eigenvalues are within the unit circle. A decision is made every `period`
     ticks.
     """
     Phi, Gamma = tick
     n, m, k = *Gamma.shape, len(law.A)
-    kept = -(-late // every)  # commands of earlier periods that have not acted yet
-    identity = np.eye(n + k + m * kept)
-    x, s, sent = identity[:n], identity[n : n + k], [identity[n + k + m * j :][:m] for j in range(kept)]  # newest first
-    sent = [law.C @ s + law.D @ x, *sent]
+    transit_count = -(-late // period)  # commands of earlier periods that have not acted yet
+    identity = np.eye(n + k + m * transit_count)
+    x, s, commands = (
+        identity[:n],
+        identity[n : n + k],
+        [identity[n + k + m * j :][:m] for j in range(transit_count)],
+    )  # newest first
+    commands = [law.C @ s + law.D @ x, *commands]
     s = law.A @ s + law.B @ x
-    for i in range(every):
-        x = Phi @ x + Gamma @ sent[-((i - late) // every)]
-    return np.vstack([x, s, *sent[:kept]])
+    for i in range(period):
+        x = Phi @ x + Gamma @ commands[-((i - late) // period)]
+    return np.vstack([x, s, *commands[:transit_count]])

@@ -23,13 +23,13 @@ VALUES = 33  # of a parameter
 MOST = 50_000  # maps in all
 
 
-def _increasing(given: list[float]) -> list[float]:
-    if len(given) != 2 or not given[0] < given[1]:
+def _require_increasing(bounds: list[float]) -> list[float]:
+    if len(bounds) != 2 or not bounds[0] < bounds[1]:
         raise ValueError("a range: [lowest, highest]")
-    return given
+    return bounds
 
 
-Range = Annotated[list[float], AfterValidator(_increasing)]
+Range = Annotated[list[float], AfterValidator(_require_increasing)]
 
 
 class Maps(NamedTuple):
@@ -41,14 +41,14 @@ class Maps(NamedTuple):
     corners: NDArray[np.int64]  # [c] indices of the maps for a solver
 
     @property
-    def seen(self) -> "Maps":
-        """Return the corners only."""
+    def at_corners(self) -> "Maps":
+        """Return the maps of the corners."""
         k = self.corners
         return Maps(self.Phi[k], self.Q[k], self.seconds[k], np.arange(len(k)))
 
 
 def maps(
-    setting: DesignContext,
+    context: DesignContext,
     periods: list[float] | None,
     parameters: dict[str, list[float]] | None,
     q: float,
@@ -61,52 +61,54 @@ def maps(
     does not have.
     """
     ticks = (
-        list(setting.intervals or sorted(set(setting.period))) if periods is None else _ticks(periods, setting, where)
+        list(context.intervals or sorted(set(context.period))) if periods is None else _ticks(periods, context, where)
     )
     grid = {name: np.linspace(low, high, VALUES) for name, (low, high) in (parameters or {}).items()}
-    many = len(ticks) * VALUES ** len(grid)
-    if many > MOST:
+    count = len(ticks) * VALUES ** len(grid)
+    if count > MOST:
         raise UserError(
-            f"{where}: got ranges of {len(ticks)} intervals and {len(grid)} parameters, which are {many} maps to check, "
+            f"{where}: got ranges of {len(ticks)} intervals and {len(grid)} parameters, which are {count} maps to check, "
             f"expected {MOST} at most; narrow the periods or leave a parameter out."
         )
-    parts = [_of(setting, dict(zip(grid, point, strict=True)), ticks, q) for point in itertools.product(*grid.values())]
+    parts = [
+        _maps_at(context, dict(zip(grid, point, strict=True)), ticks, q) for point in itertools.product(*grid.values())
+    ]
     Phi, Q = (np.concatenate([part[i] for part in parts]) for i in range(2))
-    seconds = np.tile(np.array(ticks) * setting.dt, len(parts))
+    seconds = np.tile(np.array(ticks) * context.dt, len(parts))
     return Maps(Phi, Q, seconds, _corners(len(ticks), len(grid)))
 
 
-def _ticks(periods: list[float], setting: DesignContext, where: str) -> list[int]:
-    low, high = (edge / setting.dt for edge in periods)
+def _ticks(periods: list[float], context: DesignContext, where: str) -> list[int]:
+    low, high = (edge / context.dt for edge in periods)
     if high - low > MOST:
         raise UserError(
-            f"{where}: got a period_range of {periods} s, which are {high - low:.3g} ticks of {setting.dt:g} s, expected "
+            f"{where}: got a period_range of {periods} s, which are {high - low:.3g} ticks of {context.dt:g} s, expected "
             f"{MOST} at most; write seconds, or a narrower range."
         )
     ticks = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
     if not ticks:
         raise UserError(
-            f"{where}: got a period_range of {periods} s, expected one with a multiple of the tick of {setting.dt:g} s in it."
+            f"{where}: got a period_range of {periods} s, expected one with a multiple of the tick of {context.dt:g} s in it."
         )
     return ticks
 
 
-def _of(setting: DesignContext, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
+def _maps_at(context: DesignContext, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
     """Return the maps and process noise covariances of one model, [ticks, n, n]."""
-    model = setting.variant(parameters) if parameters else setting.model
-    tick = linear.input_noise(model, q, setting.dt) + setting.process_noise
-    doubled = linear.doublings(model, setting.dt, linear.bits_for(max(ticks)))
-    noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
-    return np.stack([linear.over(doubled, t) for t in ticks]), np.stack(
-        [linear.noise_over(doubled, noise, t) for t in ticks]
+    model = context.variant(parameters) if parameters else context.model
+    tick = linear.input_noise(model, q, context.dt) + context.process_noise
+    binary_maps = linear.doublings(model, context.dt, linear.bits_for(max(ticks)))
+    noise = linear.noise_doublings(model, tick, context.dt, len(binary_maps))
+    return np.stack([linear.over(binary_maps, t) for t in ticks]), np.stack(
+        [linear.noise_over(binary_maps, noise, t) for t in ticks]
     )
 
 
 def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:
     """Return the indices of some intervals, with the first and the last, at lowest, middle and highest parameter values."""
-    each = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
+    axes = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
     few = max(SHOWN // 3**parameters, 3)
     some = np.unique(np.linspace(0, intervals - 1, min(few, intervals)).round().astype(int))
     shape = (*[VALUES] * parameters, intervals)
-    grids = np.meshgrid(*each, some, indexing="ij")
+    grids = np.meshgrid(*axes, some, indexing="ij")
     return np.ravel_multi_index(tuple(g.ravel() for g in grids), shape)

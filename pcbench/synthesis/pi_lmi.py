@@ -39,13 +39,13 @@ class PIGains(NamedTuple):
 
 def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, Certificate]:
     """Return the least gains with the decay rate beta [1/s] for L1, and their certificate; raise the errors of `solve`."""
-    found, certificate = solvers.proven(
+    solution, certificate = solvers.solve_certified(
         lambda solver: solve(plant, L1, beta, where, solver),
-        lambda found: certify(found, plant, L1),
+        lambda solution: certify(solution, plant, L1),
         where,
         unknown_input.enough(beta),
     )
-    return found, unknown_input.require_rate(certificate, beta, where)
+    return solution, unknown_input.require_rate(certificate, beta, where)
 
 
 def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> PIGains:
@@ -70,20 +70,20 @@ def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
     return Ab - Bb @ np.hstack([np.zeros_like(plant.A21), KI, KP])
 
 
-def certify(found: PIGains, plant: Split, L1: Matrix) -> Certificate:
+def certify(solution: PIGains, plant: Split, L1: Matrix) -> Certificate:
     """Check the LMI at the gains; the margin is the rate [1/s] that P certifies, NaN if P does not have the required form."""
-    KP, KI, P = (np.asarray(M, float) for M in found[:3])
-    what = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
-    unproven, (p, k) = Certificate(what, float("nan"), found.solver, found.status), plant.A21.shape
+    KP, KI, P = (np.asarray(M, float) for M in solution[:3])
+    inequality = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
+    certificate, (p, k) = Certificate(inequality, float("nan"), solution.solver, solution.status), plant.A21.shape
     if [M.shape for M in (KP, KI, P)] != [(p, p), (p, p), (k + 2 * p, k + 2 * p)] or not _has_form(P, k, p):
-        return unproven
+        return certificate
     margin = unknown_input.proven_rate(closed_loop(plant, L1, KP, KI), P)
     if np.isnan(margin):
-        return unproven
+        return certificate
     K = np.hstack([np.zeros_like(plant.A21), KI, KP])
     g = float(np.linalg.norm(np.linalg.solve(P, K.T), 2))
     numbers = {"L1": L1, "KP": KP, "KI": KI, "P": P, "g": g, "rate_proven": margin}
-    return unproven._replace(margin=margin, numbers=numbers, rate=margin)
+    return certificate._replace(margin=margin, numbers=numbers, rate=margin)
 
 
 def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, UserError, first_sentence
-from pcbench.synthesis.sampled_model import SampledPlant, invertible, power, require_seen
+from pcbench.synthesis.sampled_model import SampledPlant, invertible, power, require_visible
 
 
 def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
@@ -29,7 +29,7 @@ def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
     if len(M) == n:
         G = (A - pole * np.eye(n)) @ np.linalg.inv(M)
     else:
-        require_seen(plant, d, where, least=0.0, why="placing poles")
+        require_visible(plant, d, where, least=0.0, purpose="placing poles")
         if pole == 0:
             raise UserError(
                 f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
@@ -37,11 +37,11 @@ def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
             )
         from scipy.signal import place_poles  # takes a second to import
 
-        wanted: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
+        target_poles: Matrix = np.asarray(pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n)), float)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # slow convergence; the certificate checks the result
-                G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
+                G = np.asarray(place_poles(A.T, M.T, target_poles).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
                 f"{where}: the poles were not placed (SciPy said '{first_sentence(error)}'), expected another pole; change it."

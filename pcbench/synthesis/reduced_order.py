@@ -62,12 +62,12 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
     """
     require_observable(model, where)
     T, l = coordinates(model.C, where), len(model.C)
-    transformed = T @ maps.Phi @ np.linalg.inv(T)
+    Phi_T = T @ maps.Phi @ np.linalg.inv(T)
     return Partition(
         T=T,
         outputs=l,
-        A12=transformed[:, :l, l:],
-        A22=transformed[:, l:, l:],
+        A12=Phi_T[:, :l, l:],
+        A22=Phi_T[:, l:, l:],
         seconds=maps.seconds,
         units=riccati.near(np.linalg.norm(T * size, axis=1)),
         corners=maps.corners,
@@ -84,9 +84,9 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
 
 
 def design(
-    plant: Partition, given: list[Matrix], integral: bool, rate: float, where: str
+    plant: Partition, gain_list: list[Matrix], integral: bool, rate: float, where: str
 ) -> tuple[Matrix, Matrix, Certificate]:
-    """Certify the given gains ([Kp] or [Kp, Ki]), or compute and certify gains by the LMI, at a `rate` [1/s].
+    """Certify the gains `gain_list` ([Kp] or [Kp, Ki]), or compute and certify gains by the LMI, at a `rate` [1/s].
 
     Return Kp, Ki [n-l, l] and the certificate.
     """
@@ -100,31 +100,35 @@ def design(
     measured, unseen = plant.units[:l], plant.units[l:]
     into_w, into_y = unseen / unseen[:, None], unseen / measured[:, None]
     plant = plant._replace(A12=plant.A12 * into_y, A22=plant.A22 * into_w)
-    given = [gain / into_y.T for gain in given]
+    gain_list = [gain / into_y.T for gain in gain_list]
     zero, (A12, A22, seconds) = np.zeros((k, l)), _corners(plant, rate)
 
-    def gains(found: common_lyapunov.CommonLyapunov) -> tuple[Matrix, Matrix]:
-        if given:
-            return given[0], given[1] if integral else zero
-        G = np.asarray(found.G, float).reshape(-1, l)
+    def gains(solution: common_lyapunov.CommonLyapunov) -> tuple[Matrix, Matrix]:
+        if gain_list:
+            return gain_list[0], gain_list[1] if integral else zero
+        G = np.asarray(solution.G, float).reshape(-1, l)
         return G[:k], -G[k:] if integral else zero
 
-    def every(found: common_lyapunov.CommonLyapunov) -> ErrorMaps:
-        Kp, Ki = gains(found)
+    def maps_of(solution: common_lyapunov.CommonLyapunov) -> ErrorMaps:
+        Kp, Ki = gains(solution)
         return ErrorMaps(jacobian(plant.A12, plant.A22, Kp, Ki if integral else None), plant.seconds)
 
-    if given:
-        shown = ErrorMaps(jacobian(A12, A22, given[0], given[1] if integral else None), seconds)
+    if gain_list:
+        corner_maps = ErrorMaps(jacobian(A12, A22, gain_list[0], gain_list[1] if integral else None), seconds)
     else:
         H = np.concatenate([A12, np.zeros_like(A12)], 2) if integral else A12
-        shown = ErrorMaps(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
-    what = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
-    what = what.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else what
-    found, certificate = common_lyapunov.design(shown, every, rate, f"{what} at every interval T", where)
-    Kp, Ki = (gain * into_y.T for gain in gains(found))
+        corner_maps = ErrorMaps(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
+    inequality = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
+    inequality = inequality.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else inequality
+    solution, certificate = common_lyapunov.design(
+        corner_maps, maps_of, rate, f"{inequality} at every interval T", where
+    )
+    Kp, Ki = (gain * into_y.T for gain in gains(solution))
     scale = np.tile(unseen, 2 if integral else 1)
     numbers = (
-        dict(certificate.numbers) | {"P": found.P / np.outer(scale, scale), "Kp": Kp} | ({"Ki": Ki} if integral else {})
+        dict(certificate.numbers)
+        | {"P": solution.P / np.outer(scale, scale), "Kp": Kp}
+        | ({"Ki": Ki} if integral else {})
     )
     return Kp, Ki, certificate._replace(numbers=numbers)
 

@@ -46,9 +46,9 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     K: Matrix = np.asarray(np.linalg.solve(R, C @ P).T, dtype=np.float64)
     residual = A @ P + P @ A.T - P @ C.T @ K.T + Q
     scale = max(np.abs(A @ P).max() + np.abs(Q).max(), 1e-300)
-    solved = least_eigenvalue(P) > 0 and np.abs(residual).max() < 1e-9 * scale
+    is_solution = least_eigenvalue(P) > 0 and np.abs(residual).max() < 1e-9 * scale
     poles = np.linalg.eigvals(A - K @ C)
-    margin = float(-poles.real.max()) if solved else float("nan")
+    margin = float(-poles.real.max()) if is_solution else float("nan")
     numbers = {"P": P, "K": K, "poles": poles, "relative_residual": float(np.abs(residual).max() / scale)}
     return Stationary(P, K, Certificate("A - K C Hurwitz, (27) solved", margin, "scipy", "solved", numbers, margin))
 
@@ -72,9 +72,9 @@ def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     return keep @ P @ keep.T + K @ R @ K.T
 
 
-def _over(doubled: Matrix, noise: Matrix, ticks: int) -> tuple[Matrix, Matrix]:
+def _over(binary_maps: Matrix, noise: Matrix, ticks: int) -> tuple[Matrix, Matrix]:
     """Return the map over some ticks, and the covariance that process noise adds."""
-    return linear.over(doubled, ticks), linear.noise_over(doubled, noise, ticks)
+    return linear.over(binary_maps, ticks), linear.noise_over(binary_maps, noise, ticks)
 
 
 class CovarianceRun(NamedTuple):
@@ -88,19 +88,19 @@ class CovarianceRun(NamedTuple):
 
 @cached_by_value
 def multirate(
-    doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
+    binary_maps: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
 ) -> CovarianceRun:
     """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on.
 
     The result is cached, because observers and grid points of one study share it.
     """
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
-    over = cache(lambda gap: _over(doubled, noise, gap))  # gaps repeat
+    over = cache(lambda gap: _over(binary_maps, noise, gap))  # gaps repeat
     innovation, least = np.inf, np.inf
-    for tick in sorted({t for every in period for t in range(0, ticks + 1, every)}):
+    for tick in sorted({t for interval in period for t in range(0, ticks + 1, interval)}):
         E, Q = over(tick - at)
         P, at = E @ P @ E.T + Q, tick
-        for j in [j for j, every in enumerate(period) if tick % every == 0]:
+        for j in [j for j, interval in enumerate(period) if tick % interval == 0]:
             c, r = C[j : j + 1], R[j : j + 1, None]
             innovation = min(innovation, float((c @ P @ c.T + r)[0, 0]) / R.min())
             K[:, j] = (P @ c.T)[:, 0] / (c @ P @ c.T + r)[0, 0]
@@ -109,7 +109,7 @@ def multirate(
     return CovarianceRun(P, K, innovation, least)
 
 
-Taken = tuple[int, int]  # a sample: the tick at which it is taken, its channel
+ChannelSample = tuple[int, int]  # a sample: the tick at which it is taken, its channel
 Stage = tuple[int, Matrix]  # a tick and a root S of the covariance there, P = S S'
 After = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S after `ticks` and a sample of the channel
 
@@ -133,7 +133,7 @@ def no_steps() -> Steps:
 
 
 def posterior_variance(
-    doubled: Matrix,
+    binary_maps: Matrix,
     noise: Matrix,
     C: Matrix,
     R: Matrix,
@@ -144,28 +144,28 @@ def posterior_variance(
 ) -> Matrix:
     """Return the mean over some ticks of the variance [n] that bounds every causal estimator from below.
 
-    `doubled` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
+    `binary_maps` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
     arrived. `samples` [m, 3] are (arrival, taken, channel) in ticks, in any order; R[q] are variances above 0. Source:
     Kalman; Van Trees.
-    `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and do not change any bit.
+    `steps` of earlier calls with the same `binary_maps`, `noise`, C and R save time, and do not change any bit.
     The recursion propagates roots of covariances by orthogonal transformations. With a prior of 1e8 times the noise, P itself
     would have no correct digit.
     """
     steps = no_steps() if steps is None else steps
     times = np.asarray(samples, int).reshape(-1, 3)
-    known, taken, P = _newest(partial(_after, steps, doubled, noise, C, R), P0, times, steps)
-    start, stop = np.maximum(known, ticks.start), np.minimum(np.append(known[1:], ticks.stop), ticks.stop)
+    since, at, P = _newest(partial(_after, steps, binary_maps, noise, C, R), P0, times, steps)
+    start, stop = np.maximum(since, ticks.start), np.minimum(np.append(since[1:], ticks.stop), ticks.stop)
     here = start < stop
-    start, stop, P = (start - taken)[here], (stop - taken)[here], P[here]  # ticks after a sample
-    F, G = _flow(steps, doubled, noise, int(stop.max()))
+    start, stop, P = (start - at)[here], (stop - at)[here], P[here]  # ticks after a sample
+    F, G = _flow(steps, binary_maps, noise, int(stop.max()))
     total = np.zeros(len(P0))
-    for one in np.sort(np.unique(start + 1j * stop, return_index=True)[1]):
-        alike = P[(start == start[one]) & (stop == stop[one])]
-        moved, added = (of[start[one] : stop[one]] for of in (F, G))
-        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", moved, moved), alike.sum(0))
-        total += len(alike) * np.einsum("kii->i", added)
+    for i in np.sort(np.unique(start + 1j * stop, return_index=True)[1]):
+        alike = P[(start == start[i]) & (stop == stop[i])]
+        F_i, G_i = (of[start[i] : stop[i]] for of in (F, G))
+        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", F_i, F_i), alike.sum(0))
+        total += len(alike) * np.einsum("kii->i", G_i)
     return total / len(ticks)
 
 
@@ -177,55 +177,55 @@ def _newest(
     If a sample arrives after a newer one, the covariances after newer samples are computed again.
     """
     order = np.lexsort(samples.T[::-1])
-    arrives, taken, channel = samples[order].T
+    arrives, sample_ticks, channel = samples[order].T
     last = np.append(arrives[1:] != arrives[:-1], True)[: len(arrives)]  # whether it is the last arrival of its tick
-    if (np.lexsort((channel, taken)) == np.arange(len(taken))).all():
+    if (np.lexsort((channel, sample_ticks)) == np.arange(len(sample_ticks))).all():
         key = np.append(P0, samples[order, 1:]).tobytes()
         if key not in steps.stages:
-            if sum(map(len, steps.stages.values())) + len(taken) > ROOM:
+            if sum(map(len, steps.stages.values())) + len(sample_ticks) > ROOM:
                 steps.stages.clear()
             stages = [(0, root(P0))]
-            for tick, one in zip(taken.tolist(), channel.tolist(), strict=True):
+            for tick, j in zip(sample_ticks.tolist(), channel.tolist(), strict=True):
                 before, S = stages[-1]
-                stages.append((tick, after(S, tick - before, one)))
+                stages.append((tick, after(S, tick - before, j)))
             steps.stages[key] = np.stack([S @ S.T for _, S in stages])
         newest = np.append(0, np.flatnonzero(last) + 1)
-        since, at, P = np.append(0, arrives[last]), np.append(0, taken)[newest], steps.stages[key][newest]
+        since, at, P = np.append(0, arrives[last]), np.append(0, sample_ticks)[newest], steps.stages[key][newest]
     else:
-        since, at, P = _newest_again(after, P0, samples[order])
+        since, at, P = _newest_out_of_order(after, P0, samples[order])
     first = int(len(since) > 1 and since[1] == 0)  # 1 if a sample arrives at tick 0
     return since[first:], at[first:], P[first:]
 
 
-def _newest_again(
+def _newest_out_of_order(
     after: After, P0: Matrix, samples: NDArray[np.integer]
 ) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
     """As `_newest`, for samples in the order of arrival, some of which arrive after a newer one."""
-    known: list[Taken] = []  # oldest first
+    sequence: list[ChannelSample] = []  # oldest first
     stages: list[Stage] = [(0, root(P0))]  # after none, one, two ... of them
     since = {-1: stages[0]}
-    for tick, *one in samples.tolist():
-        place = bisect(known, tuple(one))
-        known.insert(place, tuple(one))
+    for tick, *sample in samples.tolist():
+        place = bisect(sequence, tuple(sample))
+        sequence.insert(place, tuple(sample))
         del stages[place + 1 :]
-        for taken, channel in known[place:]:
+        for sample_tick, channel in sequence[place:]:
             at, S = stages[-1]
-            stages.append((taken, after(S, taken - at, channel)))
+            stages.append((sample_tick, after(S, sample_tick - at, channel)))
         since[tick] = stages[-1]
     newest, roots = zip(*since.values(), strict=True)
     return np.maximum(list(since), 0), np.array(newest), np.stack([S @ S.T for S in roots])
 
 
 def _after(
-    steps: Steps, doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, S: Matrix, ticks: int, channel: int
+    steps: Steps, binary_maps: Matrix, noise: Matrix, C: Matrix, R: Matrix, S: Matrix, ticks: int, channel: int
 ) -> Matrix:
     """Return the root of the covariance `ticks` later, after a sample of one channel; cached in `steps`."""
     key = S.tobytes(), ticks, channel
-    if (stored := steps.after.get(key)) is not None:
-        return stored
+    if (entry := steps.after.get(key)) is not None:
+        return entry
     if ticks not in steps.over:
-        map_, added = _over(doubled, noise, ticks)
-        steps.over[ticks] = map_, root(added)
+        map_, Q = _over(binary_maps, noise, ticks)
+        steps.over[ticks] = map_, root(Q)
     E, G = steps.over[ticks]
     if len(steps.after) >= ROOM:
         steps.after.clear()
@@ -254,16 +254,16 @@ def root(P: Matrix) -> Matrix:
     return np.asarray(V * np.sqrt(np.maximum(size, 0.0)), float)
 
 
-def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:
-    """Return the maps over 0, 1 ... ticks and the covariance that noise adds over them, [many, n, n] each."""
-    if not steps.flow or len(steps.flow["maps"]) < many:
-        room = 1 << (many - 1).bit_length()  # a power of 2, so that slightly longer delays use it again
-        maps, added = [np.eye(len(doubled[0]))], [np.zeros_like(doubled[0])]
+def _flow(steps: Steps, binary_maps: Matrix, noise: Matrix, count: int) -> tuple[Matrix, Matrix]:
+    """Return the maps over 0, 1 ... ticks and the covariance that noise adds over them, [count, n, n] each."""
+    if not steps.flow or len(steps.flow["maps"]) < count:
+        room = 1 << (count - 1).bit_length()  # a power of 2, so that slightly longer delays use it again
+        maps, noises = [np.eye(len(binary_maps[0]))], [np.zeros_like(binary_maps[0])]
         for _ in range(room - 1):
-            maps.append(doubled[0] @ maps[-1])
-            added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
-        steps.flow.update(maps=np.stack(maps), noise=np.stack(added))
-    return steps.flow["maps"][:many], steps.flow["noise"][:many]
+            maps.append(binary_maps[0] @ maps[-1])
+            noises.append(binary_maps[0] @ noises[-1] @ binary_maps[0].T + noise[0])
+        steps.flow.update(maps=np.stack(maps), noise=np.stack(noises))
+    return steps.flow["maps"][:count], steps.flow["noise"][:count]
 
 
 def near(size: Matrix) -> Matrix:
@@ -271,7 +271,7 @@ def near(size: Matrix) -> Matrix:
     return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
 
 
-def prior_size(setting: DesignContext) -> Matrix:
+def prior_size(context: DesignContext) -> Matrix:
     """Return the standard deviation of x(0) [n], 1 for a known state."""
-    size = np.sqrt(np.diag(setting.P0))
+    size = np.sqrt(np.diag(context.P0))
     return np.where(size > 0, size, 1.0)

@@ -63,15 +63,21 @@ def design(
     least = 0.0 if decay is None else decay * (1 - SHORT)
 
     def ask(solver: str) -> RobustGain:
-        problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
+        problem = (
+            task.maps.at_corners.Phi,
+            task.maps.at_corners.Q,
+            task.maps.at_corners.seconds,
+            *task[1:],
+            np.array(decay or 0.0),
+        )
         return solvers.solve_or_load(
             RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
 
-    def hopeless(found: RobustGain) -> bool:
-        return kind == "decay" and found.status == "optimal" and found.cost >= 0
+    def hopeless(solution: RobustGain) -> bool:
+        return kind == "decay" and solution.status == "optimal" and solution.cost >= 0
 
-    return solvers.proven(ask, lambda found: certify(found, task, kind), where, least, hopeless, among)
+    return solvers.solve_certified(ask, lambda solution: certify(solution, task, kind), where, least, hopeless, among)
 
 
 def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
@@ -114,11 +120,11 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
     P, Y, cost = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
     rules: list[cp.Constraint] = []
     keep = P - Y @ C
-    for Phi, Q, T in zip(*task.maps.seen[:3], strict=True):
+    for Phi, Q, T in zip(*task.maps.at_corners[:3], strict=True):
         M, G = keep @ (Phi / S[:, None] * S), keep @ riccati.root(Q / S[:, None] / S)
         if decay is not None or kind == "decay":
-            grown = np.exp((decay or 0.0) * T) * M
-            rules.append(cp.bmat([[P, grown.T], [grown, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
+            N = np.exp((decay or 0.0) * T) * M
+            rules.append(cp.bmat([[P, N.T], [N, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
         if kind == "h2":  # of unit noise; with a finite energy gain that of P - W'W/g implies that of P
             rules.append(_block(cp, P, M, G, Y, P - W.T @ W / energy, 1.0) >> 0)
         if kind == "hinf":
@@ -150,26 +156,26 @@ def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) ->
     ])  # fmt: skip
 
 
-def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
+def certify(solution: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
     """Check what P certifies for L at every map of the range; the margin is the decay rate [1/s]."""
-    P, L = np.asarray(found.P, float), np.asarray(found.L, float)
-    what = "F'P F <= e^{-2 rate T} P at every map of the range, F = (I - L C) Phi"
+    P, L = np.asarray(solution.P, float), np.asarray(solution.L, float)
+    inequality = "F'P F <= e^{-2 rate T} P at every map of the range, F = (I - L C) Phi"
     if P.shape != task.W.shape or L.shape != task.C.T.shape or not (np.isfinite(P).all() and np.isfinite(L).all()):
-        return Certificate(what, float("nan"), found.solver, found.status)
+        return Certificate(inequality, float("nan"), solution.solver, solution.status)
     maps = task.maps
     F, N = error_bounds.errors(L, task.C, maps.Phi), error_bounds.noise(L, task.C, maps.Q, task.R)
     rate = error_bounds.rate(F, P, maps.seconds)
     numbers: dict[str, object] = {"P": P, "L": L, "rate": rate, "maps": len(F)}
     if kind == "h2":
-        what += "; X >= F X F' + noise, X = s inv(P)"
+        inequality += "; X >= F X F' + noise, X = s inv(P)"
         X = task.W @ error_bounds.bound(F, N, P) @ task.W.T
         numbers |= {"rms_bound": float(np.sqrt(np.trace(X)))}
         rate = rate if np.isfinite(X).all() else float("nan")
     if kind == "hinf":
-        what += "; sum |W e|^2 <= g^2 sum |noise|^2"
+        inequality += "; sum |W e|^2 <= g^2 sum |noise|^2"
         keep = np.eye(len(L)) - L @ task.C
         B = np.stack([np.hstack([keep @ riccati.root(Q), -L @ riccati.root(task.R)]) for Q in maps.Q])
         g = error_bounds.gain_bound(F, B, task.W, P)
         numbers |= {"g": g}
         rate = rate if np.isfinite(g) else float("nan")
-    return Certificate(what, rate, found.solver, found.status, numbers, rate)
+    return Certificate(inequality, rate, solution.solver, solution.status, numbers, rate)

@@ -34,47 +34,47 @@ class SampledPlant(NamedTuple):
     sizes: Matrix  # [q] size of each output
 
 
-def sample_plant(setting: DesignContext, observer: str, q: float | None = None) -> SampledPlant:
-    """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
+def sample_plant(context: DesignContext, observer: str, q: float | None = None) -> SampledPlant:
+    """Return the plant at its samples; `q` is process noise through the input, per second (default: the context's).
 
     Raises UserError if channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
     """
-    where, period = f"{observer} in {setting.scenario}", _whole_samples(setting, f"{observer} in {setting.scenario}")
-    model, tau = setting.model, tuple(delay // period for delay in setting.delay)
-    tick = linear.input_noise(model, setting.input_intensity if q is None else q, setting.dt) + setting.process_noise
-    doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
-    noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
-    A, Q = linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+    where, period = f"{observer} in {context.scenario}", _period_in_ticks(context, f"{observer} in {context.scenario}")
+    model, tau = context.model, tuple(delay // period for delay in context.delay)
+    tick = linear.input_noise(model, context.input_intensity if q is None else q, context.dt) + context.process_noise
+    binary_maps = linear.doublings(model, context.dt, linear.bits_for(period))
+    noise = linear.noise_doublings(model, tick, context.dt, len(binary_maps))
+    A, Q = linear.over(binary_maps, period), linear.noise_over(binary_maps, noise, period)
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
     if max(tau) * np.log10(max(fastest, 1e-300)) > GROWS:
         raise UserError(
             f"{where}: got a model that grows by {fastest:.3g} a sample over a delay of {max(tau)} samples, expected less than "
             f"1e{GROWS:.0f} in all; shorten the delay."
         )
-    scale = np.sqrt(np.diag(setting.P0))
+    scale = np.sqrt(np.diag(context.P0))
     scale = np.where(scale > 0, scale, 1.0)
     sizes = np.linalg.norm(model.C * scale, axis=1)
-    R = setting.noise_variance
+    R = context.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
     return SampledPlant(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
 
 
-def _whole_samples(setting: DesignContext, where: str) -> int:
+def _period_in_ticks(context: DesignContext, where: str) -> int:
     """Return the period in ticks; raise UserError if a delay is not a whole number of samples."""
-    periods, dt, error = set(setting.period), setting.dt, setting.error
+    periods, dt, error = set(context.period), context.dt, context.error
     if len(periods) > 1:
-        seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
+        seconds = ", ".join(f"{p * dt:g}" for p in context.period)
         raise UserError(
             f"{where}: got sampling periods of {seconds} s, expected the same for all channels, because it computes "
             "once per sample; give one period, or take kf."
         )
     period = periods.pop()
-    times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(setting.delay)}
-    for what, ticks in (times | {"an assumed_delay_error of {} s": error}).items():
+    times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(context.delay)}
+    for template, ticks in (times | {"an assumed_delay_error of {} s": error}).items():
         if ticks % period:
             low = ticks // period * period * dt
             raise UserError(
-                f"{where}: got {what.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
+                f"{where}: got {template.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
                 f"samples; write {low:g} or {low + period * dt:g}, or take kf."
             )
     return period
@@ -82,8 +82,8 @@ def _whole_samples(setting: DesignContext, where: str) -> int:
 
 def noise_over(plant: SampledPlant, d: int) -> Matrix:
     """Return the covariance that process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
-    each = [power(plant.A, j) for j in range(d)]
-    return np.asarray(sum(E @ plant.Q @ E.T for E in each))
+    powers = [power(plant.A, j) for j in range(d)]
+    return np.asarray(sum(E @ plant.Q @ E.T for E in powers))
 
 
 def invertible(C: Matrix) -> bool:
@@ -91,7 +91,7 @@ def invertible(C: Matrix) -> bool:
     return C.shape[0] == C.shape[1] and rank(C) == len(C)
 
 
-def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
+def require_visible(plant: SampledPlant, d: int, where: str, least: float = STAYS, purpose: str = "its design") -> None:
     """Raise UserError with a mode of A^d of absolute value `least` or more that C does not observe.
 
     This is Hautus' test at the scale of x(0) and of the noise. It uses singular values, so that it detects a multiple mode:
@@ -108,7 +108,7 @@ def require_seen(plant: SampledPlant, d: int, where: str, least: float = STAYS, 
             raise UserError(
                 f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} "
                 "of A^d (along "
-                f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
+                f"[{along}]), expected {kind} pair for {purpose}; measure another output or change a delay."
             )
 
 

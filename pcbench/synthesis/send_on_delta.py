@@ -42,19 +42,19 @@ def periodic_variance(period: float) -> float:
     return period / 2
 
 
-def simulated(threshold: float, step: float, steps: int, seed: int, shifted: bool = True) -> TriggerStats:
+def simulate(threshold: float, step: float, steps: int, seed: int, shift: bool = True) -> TriggerStats:
     """Simulate `steps` steps of `step` seconds, from `seed`.
 
-    A trigger that is evaluated once per step detects a level late, as if the level were higher by SHIFT sqrt(step). `shifted`
+    A trigger that is evaluated once per step detects a level late, as if the level were higher by SHIFT sqrt(step). `shift`
     lowers the level by that, so that the result is that of the threshold in continuous time.
     """
-    level = threshold - SHIFT * np.sqrt(step) if shifted else threshold
+    level = threshold - SHIFT * np.sqrt(step) if shift else threshold
     moves = np.random.default_rng(seed).standard_normal(steps) * np.sqrt(step)
-    x, squares, sent = 0.0, 0.0, 0
+    x, squares, count = 0.0, 0.0, 0
     for move in moves.tolist():
         after = x + move
         squares += (x * x + x * after + after * after) / 3 + step / 6  # mean of x^2 over the step, given its two ends
         x = after
         if abs(x) >= level:
-            x, sent = 0.0, sent + 1
-    return TriggerStats(steps * step / max(sent, 1), squares / steps)
+            x, count = 0.0, count + 1
+    return TriggerStats(steps * step / max(count, 1), squares / steps)

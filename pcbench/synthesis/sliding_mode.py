@@ -43,10 +43,10 @@ class SlidingModeGains(NamedTuple):
 def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Certificate]:
     """Return the least gains with the decay rate alpha [1/s], and their certificate; raise the errors of `solve`."""
     least = unknown_input.enough(alpha)
-    found, certificate = solvers.proven(
-        lambda solver: solve(plant, alpha, where, solver), lambda found: certify(found, plant), where, least
+    solution, certificate = solvers.solve_certified(
+        lambda solver: solve(plant, alpha, where, solver), lambda solution: certify(solution, plant), where, least
     )
-    return found, unknown_input.require_rate(certificate, alpha, where)
+    return solution, unknown_input.require_rate(certificate, alpha, where)
 
 
 def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> SlidingModeGains:
@@ -67,20 +67,20 @@ def closed_loop(plant: Split, L1: Matrix, A22s: Matrix) -> Matrix:
     return np.block([[A11b, np.zeros_like(plant.A12)], [plant.A21, A22s]])
 
 
-def certify(found: SlidingModeGains, plant: Split) -> Certificate:
+def certify(solution: SlidingModeGains, plant: Split) -> Certificate:
     """Check the LMI at the gains; the margin is the rate [1/s] that P1, P2 certify, NaN without one."""
-    L1, P1, P2, A22s = (np.asarray(M, float) for M in found[:4])
-    what = "A'P + P A + 2 rate P <= 0, A = [A11 - L1 A211, 0; A21, A22s], P = blkdiag(P1, P2)"
-    unproven = Certificate(what, float("nan"), found.solver, found.status)
+    L1, P1, P2, A22s = (np.asarray(M, float) for M in solution[:4])
+    inequality = "A'P + P A + 2 rate P <= 0, A = [A11 - L1 A211, 0; A21, A22s], P = blkdiag(P1, P2)"
+    certificate = Certificate(inequality, float("nan"), solution.solver, solution.status)
     shapes = [(len(plant.A11), len(plant.A211)), plant.A11.shape, plant.A22.shape, plant.A22.shape]
     if [M.shape for M in (L1, P1, P2, A22s)] != shapes:
-        return unproven
+        return certificate
     margin = unknown_input.proven_rate(closed_loop(plant, L1, A22s), block_diag(P1, P2))
     if np.isnan(margin):
-        return unproven
+        return certificate
     r = float(max(np.linalg.norm(P1 @ L1, 2), np.linalg.norm(P2 @ A22s, 2)))
     numbers = {"L1": L1, "P1": P1, "P2": P2, "A22s": A22s, "r": r, "rate_proven": margin}
-    return unproven._replace(margin=margin, numbers=numbers, rate=margin)
+    return certificate._replace(margin=margin, numbers=numbers, rate=margin)
 
 
 def _solve(plant: Split, alpha: float, where: str, solver: str) -> SlidingModeGains:

@@ -75,40 +75,40 @@ def minimise(
     return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
 
 
-def proven(
+def solve_certified(
     solve: Callable[[str], F],
     certify: Callable[[F], Certificate],
     where: str,
     least: float = 0.0,
-    hopeless: Callable[[F], bool] = lambda answer: False,
+    hopeless: Callable[[F], bool] = lambda solution: False,
     among: tuple[str, ...] = SOLVERS,
 ) -> tuple[F, Certificate]:
-    """Return the first solver's answer whose certificate has a margin above `least`, and the certificate.
+    """Return the first solver's solution whose certificate has a margin above `least`, and the certificate.
 
-    `solve` takes a solver's name. If `hopeless(answer)`, the answer itself shows that no gain is better, and no other solver
-    is tried.
-    Raises DesignError with the largest margin if no answer is certified, or with the last status if there is no answer.
+    `solve` takes a solver's name. If `hopeless(solution)`, the solution itself shows that no gain is better, and no other
+    solver is tried.
+    Raises DesignError with the largest margin if no solution is certified, or with the last status if there is none.
     """
-    tried: list[str] = []
-    answers: list[tuple[F, Certificate]] = []
+    attempts: list[str] = []
+    candidates: list[tuple[F, Certificate]] = []
     failure: DesignError | None = None
     for solver in among:
         try:
-            answer = solve(solver)
+            solution = solve(solver)
         except Impossible:
             raise
         except DesignError as error:
             failure = error
-            tried.append(f"{solver} had no answer")
+            attempts.append(f"{solver} had no answer")
             continue
-        certificate = certify(answer)._replace(fallback=", ".join(tried))
-        answers.append((answer, certificate))
-        if certificate.margin > least or hopeless(answer):
+        certificate = certify(solution)._replace(fallback=", ".join(attempts))
+        candidates.append((solution, certificate))
+        if certificate.margin > least or hopeless(solution):
             break
-        tried.append(f"{solver}'s ('{certificate.status}') had margin {certificate.margin:.3g}")
-    if not answers and failure:
+        attempts.append(f"{solver}'s ('{certificate.status}') had margin {certificate.margin:.3g}")
+    if not candidates and failure:
         raise failure
-    best = max(answers, key=lambda each: -np.inf if np.isnan(each[1].margin) else each[1].margin)
+    best = max(candidates, key=lambda candidate: -np.inf if np.isnan(candidate[1].margin) else candidate[1].margin)
     return best[0], require_certified(best[1], where, least)
 
 
@@ -119,12 +119,12 @@ def solve_or_load(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, 
     key = hashlib.sha256(bits + label + _source(kind.__module__) + _source(__name__)).hexdigest()[:32]
     path = folder("gains") / f"{name}-{key}.json"
     try:
-        stored = json.loads(path.read_text())
-        return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
+        fields = json.loads(path.read_text())
+        return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()})
     except (OSError, ValueError, TypeError, AttributeError):
-        answer = solve()
-        keep(path, _to_json(answer))
-        return answer
+        solution = solve()
+        keep(path, _to_json(solution))
+        return solution
 
 
 @cache
@@ -140,5 +140,5 @@ def _source(module: str) -> bytes:
     return Path(file).read_bytes() if file else b""
 
 
-def _to_json(answer: Any) -> str:
-    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in answer._asdict().items()})
+def _to_json(solution: Any) -> str:
+    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in solution._asdict().items()})

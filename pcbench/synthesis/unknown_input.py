@@ -53,11 +53,11 @@ def split(model: Model, where: str) -> Split:
     followed by one of the span of D2, each by `_basis`. The first non-zero entry of each row of T is positive. For the arm, T
     is the permutation [x1, x4, x3, x2], for which the gains are printed.
     """
-    given = _require_assumptions(model, where)
-    n, p, r = len(model.A), len(model.C), given.shape[1]
+    E0 = _require_assumptions(model, where)
+    n, p, r = len(model.A), len(model.C), E0.shape[1]
     C, rows = model.C, _unit(model.C)
     # f scaled so that each moves y by 1, for a pseudo-inverse independent of units
-    E = given / np.linalg.norm(C @ given, axis=0)
+    E = E0 / np.linalg.norm(C @ E0, axis=0)
     E2, back = C @ E, np.linalg.pinv(C @ E)
     N = _basis(np.eye(n) - np.linalg.pinv(rows) @ rows, n - p)
     Tp = np.vstack([_basis(np.eye(p) - E2 @ back, p - r), _basis(E2 @ back, r)])
@@ -67,7 +67,7 @@ def split(model: Model, where: str) -> Split:
     T, Tp = sign * T, sign[n - p :] * Tp
     A, k = T @ model.A @ np.linalg.inv(T), n - p
     blocks = {"A11": A[:k, :k], "A12": A[:k, k:], "A21": A[k:, :k], "A22": A[k:, k:]}
-    return Split(T=T, Tp=Tp, **blocks, E222=Tp[p - r :] @ C @ given)
+    return Split(T=T, Tp=Tp, **blocks, E222=Tp[p - r :] @ C @ E0)
 
 
 def injection(plant: Split, L1: Matrix, A22s: Matrix) -> tuple[Matrix, Matrix]:
@@ -88,22 +88,22 @@ def unmovable(plant: Split) -> list[complex]:
 
 def require_movable(plant: Split, rate: float, where: str) -> None:
     """Raise UserError with the modes that no L1 moves, if one of them does not decay faster than `rate` [1/s]."""
-    fixed = unmovable(plant)
-    slowest = max((mode.real for mode in fixed), default=-np.inf)
+    fixed_modes = unmovable(plant)
+    slowest = max((mode.real for mode in fixed_modes), default=-np.inf)
     if slowest >= -rate:
         other = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
-            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed))}, "
+            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed_modes))}, "
             "expected each left of "
             f"{-rate:.4g} 1/s; {other}measure other outputs."
         )
 
 
-def proven_rate(closed: Matrix, P: Matrix) -> float:
-    """Return the largest rate [1/s] with closed' P + P closed + 2 rate P <= 0; NaN unless P is positive definite."""
+def proven_rate(A: Matrix, P: Matrix) -> float:
+    """Return the largest rate [1/s] with A' P + P A + 2 rate P <= 0; NaN unless P is positive definite."""
     P = (P + P.T) / 2
     try:
-        return float(-eigh(closed.T @ P + P @ closed, P, eigvals_only=True)[-1] / 2)
+        return float(-eigh(A.T @ P + P @ A, P, eigvals_only=True)[-1] / 2)
     except (np.linalg.LinAlgError, ValueError):
         return float("nan")
 
@@ -134,17 +134,21 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
         ("1, rank E = r", rank(E), r, "leave a repeated unknown input out"),
         ("1, rank(C E) = r", rank(product(C, E)), r, "measure what the unknown input moves at once"),
     )
-    for which, got, expected, todo in ranks:
+    for condition, got, expected, todo in ranks:
         if got < expected:
-            raise UserError(f"{where}: Assumption {which}, is not met: got rank {got}, expected {expected}; {todo}.")
+            raise UserError(
+                f"{where}: Assumption {condition}, is not met: got rank {got}, expected {expected}; {todo}."
+            )
     counts = (
         (n > p, "n > p", f"{n} states and {p} outputs", "leave an output out"),
         (p >= m, "p >= m", f"{p} outputs and {m} inputs", "measure another output"),
         (p > r, "p > r", f"{p} outputs and {r} unknown inputs", "measure another output"),
     )
-    for holds, which, counted, todo in counts:
+    for holds, condition, counts_text, todo in counts:
         if not holds:
-            raise UserError(f"{where}: Assumption 2, {which}, is not met: got {counted}, expected {which}; {todo}.")
+            raise UserError(
+                f"{where}: Assumption 2, {condition}, is not met: got {counts_text}, expected {condition}; {todo}."
+            )
     for mode in unobservable(A, C):
         got = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1
         raise UserError(

@@ -36,7 +36,7 @@ def longest(k):
 def errors(k, delay, m, h=5e-3, seconds=200.0):
     """Errors [m, N+1] of m links without sampling, all 1 until t = 0, by their recursion."""
     Phi, K = (float(M[0, 0]) for M in link(k, h))
-    d, e = cascade.divided(round(delay / h), m), np.ones((m, round(seconds / h) + 1))
+    d, e = cascade.divide(round(delay / h), m), np.ones((m, round(seconds / h) + 1))
     for i in range(e.shape[1] - 1):
         for j in range(m):
             before = e[j - 1, i] if j else 0.0
@@ -171,8 +171,8 @@ def test_more_links_than_ticks_are_refused():
 
 
 def test_delay_is_divided_into_parts_that_differ_by_a_tick():
-    assert cascade.divided(10, 3) == (3, 3, 4)
-    assert cascade.divided(0, 1) == (0,)
+    assert cascade.divide(10, 3) == (3, 3, 4)
+    assert cascade.divide(0, 1) == (0,)
 
 
 def joint(x, u):

@@ -117,7 +117,7 @@ def test_wiener_process_has_the_interval_and_variance_of_exit_times():
     result = pcbench.run(WIENER, seeds=256)
     runs = result.runs_of("lti", ["steady_mse", "sent_fraction"], 0)
     kf = runs[runs.observer == "kf"]
-    simulated = send_on_delta.simulated(1.0, 0.01, 4_000_000, 0, shifted=False)
+    simulated = send_on_delta.simulate(1.0, 0.01, 4_000_000, 0, shift=False)
     share, square = kf.sent_fraction, kf.steady_mse
     assert 0.01 / share.mean() == pytest.approx(simulated.interval, rel=4 * share.sem() / share.mean() + 0.005)
     # the mean over the ticks, at which the state is known where a sample is sent, is that over time less half a tick's growth

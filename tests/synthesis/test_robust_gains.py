@@ -225,15 +225,15 @@ def test_an_answer_that_does_not_stand_is_not_taken_whatever_its_solver_says():
     def certify(margin):
         return Certificate("x > 0", margin, "some", "optimal")
 
-    found, proof = solvers.proven(answers.get, certify, "test")
+    found, proof = solvers.solve_certified(answers.get, certify, "test")
     assert (found, proof.margin) == (0.5, 0.5)
     assert proof.fallback == "CLARABEL's ('optimal') had margin -2"
     answers["SCS"] = -3.0
     with pytest.raises(DesignError, match="x > 0 has margin -2"):
-        solvers.proven(answers.get, certify, "test")
+        solvers.solve_certified(answers.get, certify, "test")
     answers["SCS"] = float("nan")
     with pytest.raises(DesignError, match="x > 0 has margin -2"):
-        solvers.proven(answers.get, certify, "test")
+        solvers.solve_certified(answers.get, certify, "test")
 
 
 def test_a_gain_that_is_good_at_the_mean_may_be_refused_over_a_range():

@@ -25,7 +25,7 @@ def test_exit_times_of_a_random_walk_agree_with_its_transition_matrix():
 
 
 def test_simulation_with_a_shifted_threshold_agrees_with_exit_times():
-    got = send_on_delta.simulated(1.0, 0.01, 400_000, seed=3)
+    got = send_on_delta.simulate(1.0, 0.01, 400_000, seed=3)
     intervals = 400_000 * 0.01 / got.interval
     error = np.sqrt(2 / 3 / intervals)  # the variance of an exit time is 2/3 d^4
     assert got.interval == pytest.approx(1.0, abs=4 * error)
@@ -33,7 +33,7 @@ def test_simulation_with_a_shifted_threshold_agrees_with_exit_times():
 
 
 def test_simulation_without_the_shift_sends_too_late():
-    late = send_on_delta.simulated(1.0, 0.01, 400_000, seed=3, shifted=False)
+    late = send_on_delta.simulate(1.0, 0.01, 400_000, seed=3, shift=False)
     assert late.interval == pytest.approx((1 + send_on_delta.SHIFT * 0.1) ** 2, abs=0.05)
     assert late.interval > 1.08
     assert late.variance > 0.175

@@ -72,5 +72,5 @@ def widths(poles: tuple[float, float]) -> Matrix:
     Phi, b, C = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[0.125], [0.5]]), np.eye(2)[:1]
     L = interval_observer.gain(Phi, C, max(poles), [*poles], "interval")
     found, _ = interval_observer.certify(Phi, C, L, "interval")
-    noise = interval_observer.accumulated(Phi, 0.2 * b, found.back, 1)[1]
+    noise = interval_observer.accumulate_noise(Phi, 0.2 * b, found.back, 1)[1]
     return interval_observer.final_width(found, Phi, C, noise, np.array([0.05]))
