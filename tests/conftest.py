@@ -98,7 +98,7 @@ def _no_kept_tunings():
     from pcbench.gains import history
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(history, "load_kept", lambda *_: None)
+        patch.setattr(history, "copy_from_cache", lambda *_: None)
         yield
 
 

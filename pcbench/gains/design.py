@@ -52,32 +52,32 @@ def design(
     return study, cell, run_design(label, cell.entry(label), setting(slowed(cell, label)), cell.options[label])
 
 
-def as_study(study: Study, cell: Cell, observer: str, found: Design) -> TomlTable:
+def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTable:
     """Return a design as a study, as TOML writes it, with the gains as numbers if options exist for them.
 
     [resolved.certificate] contains the certificate; reading a study ignores it. These options have been designed again, so
     the study can be run.
     """
     observer = label_of(observer)
-    entry, options, c = cell.entry(observer), cell.options[observer], found.certificate
-    chosen = options.model_dump(exclude_none=True)
-    if numbers := _as_options(entry.options, options, found):
-        with_numbers = {k: v for k, v in chosen.items() if k != _way_of(entry)} | numbers
-        chosen = _proven_again(study, cell, observer, with_numbers) or chosen
+    entry, options, c = cell.entry(observer), cell.options[observer], design.certificate
+    values = options.model_dump(exclude_none=True)
+    if numbers := _as_options(entry.options, options, design):
+        with_numbers = {k: v for k, v in values.items() if k != _way_of(entry)} | numbers
+        values = _recertify(study, cell, observer, with_numbers) or values
     proof: TomlTable = {"inequality": c.inequality, "margin": c.margin, "solver": c.solver, "status": c.status}
     proof |= {"fallback": c.fallback, "decay_rate": c.rate, "certified": is_certified(c._asdict())}
     for key in ("margin", "decay_rate"):
         proof[key] = float(proof[key]) if np.isfinite(proof[key]) else "none"
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
-    given = {k: v for k, v in raw.pop("options", {}).items() if k != observer}
-    raw |= {"options": given | {observer: chosen}} if given or chosen else {}
+    other_options = {k: v for k, v in raw.pop("options", {}).items() if k != observer}
+    raw |= {"options": other_options | {observer: values}} if other_options or values else {}
     return raw | {"resolved": {"certificate": {k: v for k, v in proof.items() if v is not None}}}
 
 
-def to_toml(written: TomlTable) -> str:
+def to_toml(table: TomlTable) -> str:
     """Return a study as TOML text."""
-    return tomli_w.dumps(written)
+    return tomli_w.dumps(table)
 
 
 def trade_off(
@@ -137,8 +137,8 @@ def trade_off(
 
 def replace_options(study: Study, observer: str, options: TomlTable) -> Study:
     """Return a study with some options of an observer changed."""
-    given = study.options.get(observer, {})
-    return study.model_copy(update={"options": study.options | {observer: given | options}})
+    current = study.options.get(observer, {})
+    return study.model_copy(update={"options": study.options | {observer: current | options}})
 
 
 def _way_of(entry: ObserverSpec) -> str | None:
@@ -146,33 +146,33 @@ def _way_of(entry: ObserverSpec) -> str | None:
     return next((name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)), None)
 
 
-def _as_options(model: type[BaseModel], options: BaseModel, found: Design) -> TomlTable:
+def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> TomlTable:
     """Return the certificate's numbers as options of the same names, for options that are None or a word."""
     out: TomlTable = {}
     for name, field in model.model_fields.items():
         is_open = getattr(options, name) is None or isinstance(getattr(options, name), str)
-        if name not in found.certificate.numbers or not is_open or extra(field).get(WAY):
+        if name not in design.certificate.numbers or not is_open or extra(field).get(WAY):
             continue
-        number = np.asarray(found.certificate.numbers[name], float)
+        number = np.asarray(design.certificate.numbers[name], float)
         number = np.where(np.abs(number) < NOTHING * np.abs(number).max(initial=0.0), 0.0, number)
-        for each in (number.tolist(), *([number.item()] if number.size == 1 else [])):
+        for value in (number.tolist(), *([number.item()] if number.size == 1 else [])):
             try:
-                model.model_validate(options.model_dump() | {name: each})
+                model.model_validate(options.model_dump() | {name: value})
             except ValidationError:
                 continue
-            out[name] = each
+            out[name] = value
     return out
 
 
-def _proven_again(study: Study, cell: Cell, observer: str, chosen: TomlTable) -> TomlTable | None:
+def _recertify(study: Study, cell: Cell, observer: str, options: TomlTable) -> TomlTable | None:
     """Return the options with the largest decay that can be certified for these numbers; None if they are refused."""
-    slower = [chosen | {"decay": BACK * chosen["decay"]}] if chosen.get("decay") else []
-    for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
+    slower = [options | {"decay": BACK * options["decay"]}] if options.get("decay") else []
+    for candidate in (*slower, {k: v for k, v in options.items() if k != "decay" or not v}):
         try:
-            explicit = replace_options(study.model_copy(update={"options": {}}), observer, each)
-            known = setting(slowed(cell, observer))
-            run_design(observer, cell.entry(observer), known, one_cell(explicit, [observer], [])[1].options[observer])
+            explicit = replace_options(study.model_copy(update={"options": {}}), observer, candidate)
+            context = setting(slowed(cell, observer))
+            run_design(observer, cell.entry(observer), context, one_cell(explicit, [observer], [])[1].options[observer])
         except UserError:
             continue
-        return each
+        return candidate
     return None

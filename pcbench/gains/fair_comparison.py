@@ -10,13 +10,13 @@ from pcbench.dataset import parquet_io, run_study, storage
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import How
 from pcbench.dataset.verify import FAIR
-from pcbench.gains.gain_variants import ExplicitStudy, Version, trained_on
+from pcbench.gains.gain_variants import ExplicitStudy, Version, training_study
 from pcbench.gains.objective import Objective
 from pcbench.study import parse
 from pcbench.toml_text import TomlTable
 
 
-def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
+def report(explicit_study: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
     """Return the result with its table `fair`, which compares versions on training seeds, on other seeds and with the bound.
 
     It has one row per cell and version. `training` and `held_out` are means of the objective with their standard errors; for
@@ -25,13 +25,13 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
     interval, or NaN without a bound. `certified` is that of stats. `note` is the reason if a start was kept. With `out`, the
     table is written as fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
-    if made.aim is None:
+    if explicit_study.aim is None:
         return result
     folder = None if out is None else f"{out}/training"
     training = run_study.execute(
-        parse.grid_of(trained_on(made.study), {}, []), folder, how._replace(until_se=None, max_seeds=None)
+        parse.grid_of(training_study(explicit_study.study), {}, []), folder, how._replace(until_se=None, max_seeds=None)
     )
-    result.fair = table(made.versions, made.aim, training.stats, result.stats)
+    result.fair = table(explicit_study.versions, explicit_study.aim, training.stats, result.stats)
     if out is not None:
         content = pa.Table.from_pandas(result.fair, preserve_index=False)
         storage.put_table(storage.target(str(out)), FAIR, parquet_io.seal_table(content))
@@ -61,6 +61,6 @@ def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_
 
 
 def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> TomlTable:
-    selected = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
-    rows: list[TomlTable] = stats[selected].to_dict("records")  # type: ignore[assignment]
+    mask = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
+    rows: list[TomlTable] = stats[mask].to_dict("records")  # type: ignore[assignment]
     return rows[0] if rows else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)

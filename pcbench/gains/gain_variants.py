@@ -72,8 +72,8 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
         return ExplicitStudy(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
-        designed = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
-        return ExplicitStudy(_with(study, {o: how for o, how in designed.items() if how}), [])
+        design_options = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
+        return ExplicitStudy(_with(study, {o: how for o, how in design_options.items() if how}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
@@ -84,41 +84,41 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     if study.tune.exact_objective:
         objective_eval.require_exact_value(aim, where)
     _require_other_seeds(study)
-    _require_own_folder(study, out, overwrite)
-    published = {o: merge_options(study, scenario, o) for o in observers_of(study, scenario.name)}
-    validation.require_tunable(study, list(published))
-    validation.require_free_labels(study, scenario, list(published))
+    _require_study_folder(study, out, overwrite)
+    published_options = {o: merge_options(study, scenario, o) for o in observers_of(study, scenario.name)}
+    validation.require_tunable(study, list(published_options))
+    validation.require_free_labels(study, scenario, list(published_options))
     tunes, points, gains = "tuned" in study.tunings, [TomlTable()], []
     if tunes:  # the values of the axes in every cell in which gains are tuned
-        every = grid_points(study.vary, list(study.axes.values()))
-        every = itertools.islice(every, 1) if study.tune.cells == "first" else every
-        points = [dict(zip(study.axes, point, strict=True)) for point in every]
+        all_points = grid_points(study.vary, list(study.axes.values()))
+        all_points = itertools.islice(all_points, 1) if study.tune.cells == "first" else all_points
+        points = [dict(zip(study.axes, point, strict=True)) for point in all_points]
     for i, point in enumerate(points):
         here = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if tunes else study
         folder = None if out is None else f"{out}/tuning"
         if len(points) > 1:
             folder = folder and f"{folder}/{cells(here, scenario.name)[0].digest}"
             progress.note(f"tuning in cell {i + 1} of {len(points)}")
-        gains.append(_gains_in(here, published, aim, folder, progress))
+        gains.append(_gains_in(here, published_options, aim, folder, progress))
     versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
     if len(study.tunings) == 1:  # labels need no suffix
-        gains = [each.renamed({v.label: v.observer for v in versions}) for each in gains]
+        gains = [cell_gains.relabel({v.label: v.observer for v in versions}) for cell_gains in gains]
         versions = [v._replace(label=v.observer) for v in versions]
-    order = list(published)
+    order = list(published_options)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     record = None
     if tunes:
         tuned = [v.label for v in versions if v.tuning == "tuned"]
         by_cell = [
-            TunedCell(cell=point, options={label: each.options[label] for label in tuned})
-            for point, each in zip(points, gains, strict=True)
+            TunedCell(cell=point, options={label: cell_gains.options[label] for label in tuned})
+            for point, cell_gains in zip(points, gains, strict=True)
         ]
         record = TunedOptions(
             scenario=scenario.name,
             cell=points[0],
             metric=aim.metric,
             signal=aim.name,
-            options={label: gains[0].found.get(label, {}) for label in tuned},
+            options={label: gains[0].tuned_options.get(label, {}) for label in tuned},
             cells=by_cell if len(points) > 1 else None,
         )
     options = {v.label: gains[0].options[v.label] for v in versions}
@@ -130,21 +130,24 @@ class _Gains(NamedTuple):
 
     versions: list[Version]
     options: Options  # by label
-    found: Options  # by label, the tuned options; empty if the start was kept
+    tuned_options: Options  # by label, the tuned options; empty if the start was kept
 
-    def renamed(self, labels: dict[str, str]) -> "_Gains":
+    def relabel(self, labels: dict[str, str]) -> "_Gains":
         """Return these gains under other labels; a label without a new one is left out."""
         versions = [v._replace(label=labels[v.label]) for v in self.versions if v.label in labels]
-        options, found = (
-            {labels[o]: each for o, each in all_of.items() if o in labels} for all_of in (self.options, self.found)
+        options, tuned_options = (
+            {labels[o]: values for o, values in all_of.items() if o in labels}
+            for all_of in (self.options, self.tuned_options)
         )
-        return _Gains(versions, options, found)
+        return _Gains(versions, options, tuned_options)
 
 
-def _gains_in(study: Study, published: Options, aim: Objective, folder: str | None, progress: Progress) -> _Gains:
+def _gains_in(
+    study: Study, published_options: Options, aim: Objective, folder: str | None, progress: Progress
+) -> _Gains:
     """Return the gains of all versions in a study of one cell; tunings are stored in `folder`."""
     gains = _Gains([], {}, {})
-    for observer, paper in published.items():
+    for observer, paper in published_options.items():
         ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
         for tuning, more in ways.items():
             if more is not None:
@@ -152,26 +155,26 @@ def _gains_in(study: Study, published: Options, aim: Objective, folder: str | No
                 gains.options[f"{observer}-{tuning}"] = paper | dict(more)
     if "tuned" in study.tunings:
         for observer, start in _better(study, gains.versions, gains.options, aim, progress).items():
-            note, found = _tune_observer(study, observer, start, folder, progress)
+            note, tuned_options = _tune_observer(study, observer, start, folder, progress)
             label = f"{observer}-tuned"
             gains.versions.append(Version(label, observer, "tuned", note))
-            gains.options[label], gains.found[label] = start | found, found
+            gains.options[label], gains.tuned_options[label] = start | tuned_options, tuned_options
     return gains
 
 
 def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
     """Return the versions of all cells; in a cell without a version, it has published gains and a note."""
     first: dict[str, Version] = {}
-    for each in gains:
-        first |= {v.label: v for v in each.versions if v.label not in first}
+    for cell_gains in gains:
+        first |= {v.label: v for v in cell_gains.versions if v.label not in first}
     out = []
     for label, version in first.items():
         notes = []
-        for each in gains:
-            own_notes = [v.note for v in each.versions if v.label == label]
-            if not own_notes:
-                each.options[label] = each.options[f"{version.observer}-published"]
-            notes.append(own_notes[0] if own_notes else "nothing to tune, so gains as printed")
+        for cell_gains in gains:
+            label_notes = [v.note for v in cell_gains.versions if v.label == label]
+            if not label_notes:
+                cell_gains.options[label] = cell_gains.options[f"{version.observer}-published"]
+            notes.append(label_notes[0] if label_notes else "nothing to tune, so gains as printed")
         at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
         several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
         out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else several))
@@ -185,7 +188,7 @@ def _with(
     return grid_of(study, changes | {"tuned": record and record.model_dump()}, [])
 
 
-def trained_on(study: Study) -> Study:
+def training_study(study: Study) -> Study:
     """Return the study on the training runs, or with exact evaluation."""
     if study.tune.exact_objective:
         return study.model_copy(update={"evaluation": "exact"})
@@ -195,12 +198,12 @@ def trained_on(study: Study) -> Study:
 
 def _require_other_seeds(study: Study) -> None:
     """Raise UserError if the study's own seeds overlap those of the tuning; an exact objective has none."""
-    own = seed_range(study.first_seed, study.seeds)
+    seeds = seed_range(study.first_seed, study.seeds)
     for tuning in () if study.tune.exact_objective else (_training(study), VALIDATION):
-        if common(own, tuning).many:
+        if common(seeds, tuning).many:
             raise UserError(
-                f"{study.name}: got seeds {own.first} .. {own.stop - 1}, expected none of {tuning.first} .. {tuning.stop - 1}, "
-                "on which gains are tuned; give another first_seed."
+                f"{study.name}: got seeds {seeds.first} .. {seeds.stop - 1}, expected none of {tuning.first} .. "
+                f"{tuning.stop - 1}, on which gains are tuned; give another first_seed."
             )
 
 
@@ -208,16 +211,16 @@ def _training(study: Study) -> Seeds:
     return seed_range(tune.TRAINING.first, study.tune.training)
 
 
-def _require_own_folder(study: Study, out: str | Path | None, overwrite: bool) -> None:
+def _require_study_folder(study: Study, out: str | Path | None, overwrite: bool) -> None:
     """Raise UserError if a folder has other contents, before writing; `overwrite` removes earlier tunings."""
     if out is None:
         return
     target = storage.target(str(out))
     manifest, names = storage.text(target, TEXT), storage.names(target)
-    others = [name for name in names if not name.startswith(BESIDE)]
-    if manifest is None and others:
+    other_files = [name for name in names if not name.startswith(BESIDE)]
+    if manifest is None and other_files:
         raise UserError(
-            f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+            f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one with --out."
         )
     if manifest is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
         raise UserError(
@@ -235,7 +238,7 @@ def _better(study: Study, versions: list[Version], options: Options, aim: Object
     if not free:
         return {}
     progress.note("comparing starts")
-    stats = run_study.execute(_with(trained_on(study), {label: options[label] for label in free}, list(free))).stats
+    stats = run_study.execute(_with(training_study(study), {label: options[label] for label in free}, list(free))).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
     for label, v in free.items():
@@ -254,11 +257,11 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
         return False
     here = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(here, [observer], [])[1]
-    entry, chosen = cell.entry(observer), cell.options[observer]
-    known = planning.setting(planning.slowed(cell, observer))
-    designed = planning.run_design(observer, entry, known, chosen)
+    entry, cell_options = cell.entry(observer), cell.options[observer]
+    context = planning.setting(planning.slowed(cell, observer))
+    design = planning.run_design(observer, entry, context, cell_options)
     try:
-        return bool(tune.free_parameters(observer, entry, known, chosen, designed, only, study.name))
+        return bool(tune.free_parameters(observer, entry, context, cell_options, design, only, study.name))
     except parameters.NothingFree:
         return False
 
@@ -271,7 +274,7 @@ def _tune_observer(
     seeds: TomlTable = {"training_seeds": _training(study), "validation_seeds": VALIDATION}
     changes = {"options": study.options | {observer: start}, "tuning": "published", "observers": [observer]}
     try:
-        found = tune.tune(
+        result = tune.tune(
             study.model_copy(update=changes | {"seeds": 1, "first_seed": 0}),
             observer,
             budget=how.budget,
@@ -290,4 +293,4 @@ def _tune_observer(
         return "the start has no finite value on the training runs", {}
     except AnotherTuning as error:
         raise UserError(f"{str(error).removesuffix('.')}, or start over with --overwrite.") from None
-    return found.kept_start, {} if found.kept_start else found.found
+    return result.kept_start, {} if result.kept_start else result.found

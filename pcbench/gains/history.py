@@ -67,7 +67,7 @@ class History:
     def __init__(self, target: storage.Target, about: str, names: list[str], basis: TomlTable, file: str = HISTORY):
         self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
         self.points: list[Evaluation] = []
-        self.before = _read(target, about, basis, file)
+        self.before = _read_points(target, about, basis, file)
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
@@ -111,19 +111,20 @@ def basis_of(study: Study, cell: Cell) -> TomlTable:
     return json.loads(json.dumps({"study": resolve_study(study, [cell]), "files": stored_code.files_of(study)}))
 
 
-def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
+def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
     """Return the points of an earlier run; raise AnotherTuning if they are those of another tuning."""
     content = storage.get(target, file)
     if content is None:
-        if others := [name for name in storage.names(target) if name not in (HISTORY, FOUND)]:
+        if other_files := [name for name in storage.names(target) if name not in (HISTORY, FOUND)]:
             raise UserError(
-                f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+                f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one "
+                "with --out."
             )
         return []
     try:
         table = parquet_io.parse_table(content)
         metadata = table.schema.metadata or {}
-        stored, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
+        stored_about, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
         points = []
         for row in table.to_pylist():
@@ -134,11 +135,14 @@ def _read(target: storage.Target, about: str, basis: TomlTable, file: str) -> li
         raise UserError(
             f"{target.name}/{file}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
         ) from None
-    if stored != about:
+    if stored_about != about:
         files = before.get("files", {}), basis["files"]
-        changed = list(changes(before["study"], basis["study"], files)) if before else []
-        differs = f"{'; '.join(changed)}), expected the same study" if changed else f"{stored}), expected {about}"
-        raise AnotherTuning(f"{target.name}: holds another tuning ({differs}; give another folder with --out.")
+        differences = list(changes(before["study"], basis["study"], files)) if before else []
+        text = "; ".join(differences) or stored_about
+        expected = "the same study" if differences else about
+        raise AnotherTuning(
+            f"{target.name}: holds another tuning ({text}), expected {expected}; give another folder with --out."
+        )
     return points
 
 
@@ -161,33 +165,33 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
         record = study.pop("resolved")["tuning"]
         if record.pop("about") != task:
             return None
-        judged = []
-        for each in record.pop("judged"):
-            first, many, (start, tuned) = each.pop("first"), each.pop("seeds"), each.pop("diverged")
-            judged.append(Judgement(seeds=seed_range(first, many), diverged=(start, tuned), **each))
-        return record | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
+        judgements = []
+        for row in record.pop("judged"):
+            first, many, (start, tuned) = row.pop("first"), row.pop("seeds"), row.pop("diverged")
+            judgements.append(Judgement(seeds=seed_range(first, many), diverged=(start, tuned), **row))
+        return record | {"study": study, "judged": judgements, "points": _read_points(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # missing or damaged: the tuning continues from its history, and writes the result again
 
 
-def load_kept(target: storage.Target, task: str, about: str, basis: TomlTable) -> None:
+def copy_from_cache(target: storage.Target, task: str, about: str, basis: TomlTable) -> None:
     """Copy the cached result of the same tuning by the same code into an empty folder; ignore damaged entries."""
-    place = _kept(task, basis)
-    kept = storage.target(place)
+    place = _cache_folder(task, basis)
+    source = storage.target(place)
     with suppress(UserError):
-        if not storage.names(target) and load_finished(kept, task, about, basis):
+        if not storage.names(target) and load_finished(source, task, about, basis):
             storage.make(target)
             for name in (HISTORY, FOUND):  # in this order, because a result without its history is invalid
                 storage.put(target, name, (place / name).read_bytes())
 
 
 def keep_result(target: storage.Target, task: str, basis: TomlTable) -> None:
-    """Store a finished tuning in the cache for `load_kept`."""
+    """Store a finished tuning in the cache for `copy_from_cache`."""
     for name in (HISTORY, FOUND):
-        cache.keep(_kept(task, basis) / name, storage.get(target, name) or b"")
+        cache.keep(_cache_folder(task, basis) / name, storage.get(target, name) or b"")
 
 
-def _kept(task: str, basis: TomlTable) -> Path:
+def _cache_folder(task: str, basis: TomlTable) -> Path:
     """Return the cache folder of a tuning, named by the hash of all inputs that determine its numbers."""
     record = f"{task} {json.dumps(basis, sort_keys=True)} {_versions()}"
     return cache.folder("gains", f"tuning-{hashlib.sha256(record.encode()).hexdigest()[:32]}")
@@ -203,9 +207,9 @@ def _versions() -> str:
     )
 
 
-def plain(judged: Judgement) -> TomlTable:
+def plain(judgement: Judgement) -> TomlTable:
     """Return a judgement as it is written, with the first seed and the number of seeds."""
-    record = judged._asdict()
+    record = judgement._asdict()
     seeds = record.pop("seeds")
     head = {"what": record.pop("what"), "first": seeds.first, "seeds": seeds.many}
-    return head | record | {"diverged": list(judged.diverged)}
+    return head | record | {"diverged": list(judgement.diverged)}

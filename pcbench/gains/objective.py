@@ -57,13 +57,13 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
     Raises UserError for unknown names.
     """
     ticks = to_ticks(scenario.duration, scenario)
-    loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
-    metrics = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
+    loop, has_jumps = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
+    metrics = [m for m in MEASURES if (loop or "tracking" not in m) and (has_jumps or m != "recovery_time")]
     metrics = [m for m in metrics if m not in OF_RUN]  # those of a signal
     if objective not in metrics:
         raise unknown(f"{where}: --objective", "metric to tune for here", objective, metrics)
     names = [name for name, _ in signals_of(scenario)]
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)
-    chosen = names.index(signal or (*scenario.scoring.headline, names[0])[0])
-    return Objective(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])
+    index = names.index(signal or (*scenario.scoring.headline, names[0])[0])
+    return Objective(objective, index, names[index], signals_of(scenario)[index][1])

@@ -50,13 +50,13 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
         )
 
 
-def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: str) -> str:
+def method_for(optimizer: str | None, aim: Objective, p: Plan, exact: bool, where: str) -> str:
     """Return "descent" if the objective has a gradient, as every exact objective has, otherwise "search".
 
     Raises UserError for descent without a gradient.
     """
-    if asked not in (None, *METHODS):
-        raise UserError(f"{where}: --optimizer: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
+    if optimizer not in (None, *METHODS):
+        raise UserError(f"{where}: --optimizer: got '{optimizer}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
         f"{aim.metric} has no gradient": not aim.smooth,
         "its steps cannot be differentiated": not p.cell.entry(p.labels[0]).smooth,
@@ -64,9 +64,9 @@ def method_for(asked: str | None, aim: Objective, p: Plan, exact: bool, where: s
         "a closed loop is not differentiated": p.layout.controller is not None,
     }
     reasons = [] if exact else [reason for reason, holds in against.items() if holds]
-    if asked == "descent" and reasons:
+    if optimizer == "descent" and reasons:
         raise UserError(f"{where}: --optimizer: got descent, but {reasons[0]}; expected search; leave it out.")
-    return asked or ("search" if reasons else "descent")
+    return optimizer or ("search" if reasons else "descent")
 
 
 def evaluator(
@@ -77,19 +77,21 @@ def evaluator(
     back = optimizers.backwards(p, aim, root_seed, seeds)
 
     def with_slope(at: Vector) -> tuple[float, Vector]:
-        mean, slopes, lost = back(design(at))
-        if lost:
+        mean, slopes, has_diverged = back(design(at))
+        if has_diverged:
             return float("inf"), np.full(len(at), np.nan)
         return aim.of(mean), aim.slope(mean) * optimizers.chain(slopes, design, at)
 
-    def alone(at: Vector) -> tuple[float, Vector]:
+    def value_only(at: Vector) -> tuple[float, Vector]:
         here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
-        (left,) = run_local.results(here, runner.run(p.layout, list(run_local.jobs(here, root_seed, seeds)))).values()
-        return aim.over(left[aim.base][aim.signal], left["diverged"]), np.zeros(0)
+        (metrics,) = run_local.results(
+            here, runner.run(p.layout, list(run_local.jobs(here, root_seed, seeds)))
+        ).values()
+        return aim.over(metrics[aim.base][aim.signal], metrics["diverged"]), np.zeros(0)
 
     def at(point: Vector) -> tuple[float, Vector]:
         try:
-            return with_slope(point) if how == "descent" else alone(point)
+            return with_slope(point) if how == "descent" else value_only(point)
         except DigitsError:  # independent of the gains in an open loop, because of them in a closed one
             if p.layout.controller is None:
                 raise
@@ -103,54 +105,54 @@ def evaluator(
 def require_exact_value(aim: Objective, where: str) -> None:
     """Raise UserError if a metric never has an exact value."""
     if aim.metric not in OFFERED:
-        why = stats_rows.RUNS_ONLY.get(aim.metric, "it is of runs alone")
+        reason = stats_rows.RUNS_ONLY.get(aim.metric, "it is of runs alone")
         raise UserError(
-            f"{where}: --objective: got {aim.metric}, which has no exact value ({why}), expected one of {', '.join(OFFERED)}; "
-            f"write one of them, or {INSTEAD}."
+            f"{where}: --objective: got {aim.metric}, which has no exact value ({reason}), expected one of "
+            f"{', '.join(OFFERED)}; write one of them, or {INSTEAD}."
         )
 
 
 def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     """Return the realisation of the cell for exact moments; raise UserError if its objective has no exact value."""
     require_exact_value(aim, where)
-    one = gradients.single(p)
-    if one is None:
+    realisation = gradients.single(p)
+    if realisation is None:
         raise UserError(
             f"{where}: exact: got runs with different schedules or plants, expected the same for all runs, as a gradient "
             f"is for one schedule; {INSTEAD}."
         )
-    if aim.metric in SIZES and (one.layout.scattered or one.chance < 1):
+    if aim.metric in SIZES and (realisation.layout.scattered or realisation.chance < 1):
         raise UserError(
             f"{where}: --objective: got {aim.metric} of an error that is not normal (a start in a box, or a mixture over "
             f"losses), expected one of {', '.join((*SQUARES, *POOLED))}; write one of them, or {INSTEAD}."
         )
-    return one
+    return realisation
 
 
 def exact_evaluator(
-    p: Plan, one: Realisation, aim: Objective, many: int, design: Callable[[Vector], Gains], where: str
+    p: Plan, realisation: Realisation, aim: Objective, count: int, design: Callable[[Vector], Gains], where: str
 ) -> Evaluate:
-    """Return a function that evaluates a point of `many` free parameters; it returns infinity without an exact value.
+    """Return a function that evaluates a point of `count` free parameters; it returns infinity without an exact value.
 
     It raises UserError if there is no exact value at the first point, which is a property of the observer, not of its gains.
     """
-    call, (kind, part) = gradients.build_gradients(p, one, many), SUMS[aim.base]
-    count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
-    seen: list[Vector] = []
+    call, (kind, part) = gradients.build_gradients(p, realisation, count), SUMS[aim.base]
+    tick_count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
+    points: list[Vector] = []
 
     def at(point: Vector) -> tuple[float, Vector]:
-        lost = float("inf"), np.full(many, np.nan)
+        failure = float("inf"), np.full(count, np.nan)
         try:
             moments = call(design(point), optimizers.directions(design, point))
         except (UserError, ValidationError):  # the design refuses, or the option is invalid
-            return lost
-        if why := refusal(moments.cell, p.labels[0], INSTEAD):
-            if not seen:
-                raise UserError(f"{where}: exact: {why}")
-            return lost
-        seen.append(point)
-        mean = float(getattr(moments.cell.sums, kind)[part, aim.signal, 0]) / count
-        slope = getattr(moments.slopes, kind)[part, aim.signal] / count
+            return failure
+        if reason := refusal(moments.cell, p.labels[0], INSTEAD):
+            if not points:
+                raise UserError(f"{where}: exact: {reason}")
+            return failure
+        points.append(point)
+        mean = float(getattr(moments.cell.sums, kind)[part, aim.signal, 0]) / tick_count
+        slope = getattr(moments.slopes, kind)[part, aim.signal] / tick_count
         return aim.of(mean), aim.slope(mean) * slope
 
     return at

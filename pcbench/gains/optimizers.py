@@ -41,28 +41,28 @@ def descent(ask: Ask, start: Vector, budget: int) -> None:
     import optax
 
     rule = optax.scale_by_lbfgs()
-    at, (value, slope), left = start, ask(start), budget - 1
+    at, (value, slope), evaluations_left = start, ask(start), budget - 1
     state = rule.init(at)
-    fresh, longest = True, LONGEST
-    while left > 0 and slope.any():
-        ahead, state = rule.update(slope, state, at)
-        step = -np.asarray(ahead, float)
-        if fresh or slope @ step >= 0:
+    is_initial, longest = True, LONGEST
+    while evaluations_left > 0 and slope.any():
+        direction, state = rule.update(slope, state, at)
+        step = -np.asarray(direction, float)
+        if is_initial or slope @ step >= 0:
             step = -slope * FIRST / np.linalg.norm(slope)
-        cut = min(1.0, longest / float(np.linalg.norm(step)))
-        step, tried, full_step = step * cut, False, True
-        while left > 0 and np.linalg.norm(step) > SMALLEST:
-            candidate, left, tried = ask(at + step), left - 1, True
+        shrink = min(1.0, longest / float(np.linalg.norm(step)))
+        step, has_trial, full_step = step * shrink, False, True
+        while evaluations_left > 0 and np.linalg.norm(step) > SMALLEST:
+            candidate, evaluations_left, has_trial = ask(at + step), evaluations_left - 1, True
             if candidate[0] <= value + ENOUGH * (slope @ step) and np.isfinite(candidate[1]).all():
                 break
             step, full_step = step / 2, False
         else:
-            if fresh or not tried:
+            if is_initial or not has_trial:
                 return
-            state, fresh = rule.init(at), True  # the estimated curvature is wrong here
+            state, is_initial = rule.init(at), True  # the estimated curvature is wrong here
             continue
-        at, (value, slope), fresh = at + step, candidate, False
-        if full_step and cut < 1:
+        at, (value, slope), is_initial = at + step, candidate, False
+        if full_step and shrink < 1:
             longest *= 2
 
 
@@ -94,36 +94,36 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     tree = jax.tree.structure(p.problem.gains[label])
 
     def mean(
-        reals: list[Array], others: list[Leaf], problem: GridPointParams, seeds: Array, weights: Array
+        reals: list[Array], constants: list[Leaf], problem: GridPointParams, seeds: Array, weights: Array
     ) -> tuple[Array, Array]:
-        left, right = iter(reals), iter(others)
-        leaves = [next(left if real else right) for real in which]
+        left, right = iter(reals), iter(constants)
+        leaves = [next(left if real else right) for real in is_real]
         problem = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
         metrics = reverse_mode.metrics(layout, problem, n, tail, jnp.asarray(root_seed), seeds)
         peaks = metrics[label]["max_abs_error"]
-        lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
-        return jnp.sum(metrics[label][goal.base][goal.signal] * weights), lost
+        has_diverged = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
+        return jnp.sum(metrics[label][goal.base][goal.signal] * weights), has_diverged
 
-    which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
+    is_real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
     calls = [
         _pad_seeds(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)
     ]
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
-    compiled: list[Callable[..., PyTree]] = []
+    programs: list[Callable[..., PyTree]] = []
 
     def at(gains: Gains) -> Slope:
         reals = numbers(gains)
-        others = [a for a, real in zip(jax.tree.leaves(gains), which, strict=True) if not real]
-        if not compiled:
-            given = jax.tree.map(
-                lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), (reals, others, bare, *calls[0])
+        constants = [a for a, real in zip(jax.tree.leaves(gains), is_real, strict=True) if not real]
+        if not programs:
+            shapes = jax.tree.map(
+                lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), (reals, constants, bare, *calls[0])
             )
-            about = layout, n, tail, root_seed, label, which, goal.base, goal.signal, jax.tree.map(np.shape, gains)
+            about = layout, n, tail, root_seed, label, is_real, goal.base, goal.signal, jax.tree.map(np.shape, gains)
             function = jax.value_and_grad(mean, has_aux=True)
-            compiled.append(program_store.compile_program(function, about, given, options))
+            programs.append(program_store.compile_program(function, about, shapes, options))
         with thread_pools.pool(len(runner.devices())) as threads:
-            parts = list(threads.map(lambda c: runner.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
+            parts = list(threads.map(lambda c: runner.in_float64(_run, programs[0], reals, constants, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
         return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
 
@@ -132,8 +132,8 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
 
 def chain(slopes: list[Vector], design: Callable[[Vector], Gains], at: Vector) -> Vector:
     """Return the derivatives with respect to the free parameters, from those with respect to the gains."""
-    each = directions(design, at)
-    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in each])
+    by_parameter = directions(design, at)
+    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in by_parameter])
 
 
 def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vector]]:
@@ -143,9 +143,9 @@ def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vecto
         sides = [(sign, gains) for sign in (1, -1) if (gains := _try_design(design, at + sign * step)) is not None]
         if len(sides) < 2:  # one side is refused: use the middle
             sides.append((0, numbers(design(at))))
-        (m, ahead), (n, behind) = sides[0], sides[-1]
+        (m, upper), (n, lower) = sides[0], sides[-1]
         gap = (m - n) * STEP or np.nan
-        out.append([(np.asarray(a) - np.asarray(b)) / gap for a, b in zip(ahead, behind, strict=True)])
+        out.append([(np.asarray(a) - np.asarray(b)) / gap for a, b in zip(upper, lower, strict=True)])
     return out
 
 
@@ -162,6 +162,6 @@ def _pad_seeds(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray
     return np.resize(seeds, width), weights
 
 
-def _read(call: Callable[..., PyTree], *arguments: PyTree) -> Slope:
-    (value, lost), slopes = call(*arguments)
-    return float(value), [np.asarray(s) for s in slopes], bool(lost)
+def _run(call: Callable[..., PyTree], *arguments: PyTree) -> Slope:
+    (value, has_diverged), slopes = call(*arguments)
+    return float(value), [np.asarray(s) for s in slopes], bool(has_diverged)

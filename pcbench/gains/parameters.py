@@ -58,39 +58,39 @@ def start(
     label: str,
     entry: ObserverSpec,
     options: BaseModel,
-    designed: Mapping[str, object],
+    numbers: Mapping[str, object],
     names: list[str] | None,
     where: str,
 ) -> tuple[list[Free], Vector]:
     """Return the free parameters and their start.
 
-    The start is the value of each option. If that is None or a word, it is the number of the same name in `designed`. `names`
+    The start is the value of each option. If that is None or a word, it is the number of the same name in `numbers`. `names`
     None: every tunable option with such a start. Raises UserError for a name of an option that is not tunable or has no
     start, and NothingFree without any parameter.
     """
-    allowed, free, values = tunable(entry), list[Free](), list[Vector]()
+    tunable_names, free, values = tunable(entry), list[Free](), list[Vector]()
 
-    def holds(one: Free, at: Vector) -> bool:
+    def holds(parameter: Free, at: Vector) -> bool:
         """Return whether the option accepts such a value, for example a list with one entry per output."""
         try:
-            put(options, [one._replace(first=0)], at)
+            put(options, [parameter._replace(first=0)], at)
         except ValidationError:
             return False
         return True
 
-    for name in allowed if names is None else names:
-        if name not in allowed:
+    for name in tunable_names if names is None else names:
+        if name not in tunable_names:
             raise UserError(
-                f"{where}: got '{name}' to tune, expected {' or '.join(allowed) or 'nothing: it has no free parameters'}."
+                f"{where}: got '{name}' to tune, expected {' or '.join(tunable_names) or 'nothing: it has no free parameters'}."
             )
         value = getattr(options, name)
-        value = designed.get(name) if value is None or isinstance(value, str) else value
+        value = numbers.get(name) if value is None or isinstance(value, str) else value
         if value is not None:
-            one, at = _free(entry, name, value, sum(f.size for f in free))
-            if not one.shape and not holds(one, at):  # the option needs a list, here of one entry
-                one = one._replace(shape=(1,))
-            if holds(one, at):
-                free.append(one)
+            parameter, at = _free(entry, name, value, sum(f.size for f in free))
+            if not parameter.shape and not holds(parameter, at):  # the option needs a list, here of one entry
+                parameter = parameter._replace(shape=(1,))
+            if holds(parameter, at):
+                free.append(parameter)
                 values.append(at)
                 continue
         if names is not None:
@@ -112,8 +112,8 @@ def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Fr
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
     scale = high - low if high - low > LEAST else 1.0  # a gain of 0 has no size
-    one = Free(name, kind, number.shape, low, scale, first)
-    return one, _to_unbounded(number, one).ravel()
+    parameter = Free(name, kind, number.shape, low, scale, first)
+    return parameter, _to_unbounded(number, parameter).ravel()
 
 
 def sensitive_names(free: list[Free], at: Vector, gains: Callable[[Vector], list[Leaf]]) -> list[str]:
@@ -121,11 +121,11 @@ def sensitive_names(free: list[Free], at: Vector, gains: Callable[[Vector], list
     nominal, out = gains(at), []
     for f in free:
         try:
-            changed = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+            variation = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
         except (UserError, ValidationError):  # refused, so the gains depend on it
             out.append(f.name)
             continue
-        if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(nominal, changed, strict=True)):
+        if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(nominal, variation, strict=True)):
             out.append(f.name)
     return out
 
@@ -180,6 +180,6 @@ def _to_unbounded(value: Vector, f: Free) -> Vector:
 
 def _inside(annotation: object) -> list[object]:
     """Return the declarations of all types that an option's value, or an entry of it, may have."""
-    declared = getattr(annotation, "__metadata__", ())
-    own = [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
-    return own + [m for kind in get_args(annotation) for m in _inside(kind)]
+    metadata = getattr(annotation, "__metadata__", ())
+    declarations = [m for entry in metadata for m in (entry.metadata if isinstance(entry, FieldInfo) else [entry])]
+    return declarations + [m for kind in get_args(annotation) for m in _inside(kind)]

@@ -92,56 +92,59 @@ def tune(
         draws = "exact" if exact_objective else f"seeds {training}"
         method = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
         current = merge_options(study, cell.scenario, observer)
-        own_study = own_options(study, observer)
-        origin = f"{current or 'its defaults'}, {digest(own_study, [cell])[:12]}"
+        observer_study = own_options(study, observer)
+        origin = f"{current or 'its defaults'}, {digest(observer_study, [cell])[:12]}"
         about = f"{where}: {aim.metric} of {aim.name} by {method}, from {origin}"
         task = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")
         target = storage.target(str(out) if out is not None else spare)
-        basis = history.basis_of(own_study, cell)
-        history.load_kept(target, task, about, basis)
-        if done := history.load_finished(target, task, about, basis):
-            return Tuning(objective=aim, **done)
-        known = planning.setting(planning.slowed(cell, observer))
-        designed = planning.run_design(observer, cell.entry(observer), known, cell.options[observer])
+        basis = history.basis_of(observer_study, cell)
+        history.copy_from_cache(target, task, about, basis)
+        if record := history.load_finished(target, task, about, basis):
+            return Tuning(objective=aim, **record)
+        context = planning.setting(planning.slowed(cell, observer))
+        start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
             study, cell = parse.one_cell(replace_options(study, observer, {"decay": BACK * decay}), [observer], [])
         options, entry = cell.options[observer], cell.entry(observer)
-        every, start = free_parameters(observer, entry, known, options, designed, only, where)
+        free, start = free_parameters(observer, entry, context, options, start_design, only, where)
 
         def design(at: Vector) -> Gains:
-            return planning.run_design(observer, entry, known, parameters.put(options, every, at)).gains
+            return planning.run_design(observer, entry, context, parameters.put(options, free, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         objective_eval.check_estimates(p, aim, where)
         how = objective_eval.method_for(optimizer, aim, p, exact_objective, where)
         if exact_objective:
-            one = objective_eval.exact_cell(aim, p, where)
-            evaluate = objective_eval.exact_evaluator(p, one, aim, len(start), design, where)
+            realisation = objective_eval.exact_cell(aim, p, where)
+            evaluate = objective_eval.exact_evaluator(p, realisation, aim, len(start), design, where)
         else:
             evaluate = objective_eval.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
-        trials = History(target, about, parameters.entries(every), basis)
+        trials = History(target, about, parameters.entries(free), basis)
         progress.begin("points", budget)
         progress.note("compiling")
         descend(how, trials, start, evaluate, budget, where, progress)
-        found = parameters.written(every, np.array(trials.best.at))
+        tuned_options = parameters.written(free, np.array(trials.best.at))
         if exact_objective:
-            judged, kept = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)], ""
+            judgements, kept_start = (
+                [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)],
+                "",
+            )
         else:
             progress.note("validation on other seeds")
-            judged = judge(study, observer, found, aim, {"training": training, "validation": validation})
-            kept = against(judged)
-        chosen = parameters.put(options, every, start if kept else np.array(trials.best.at))
+            judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})
+            kept_start = against(judgements)
+        final_options = parameters.put(options, free, start if kept_start else np.array(trials.best.at))
         tuned = Tuning(
-            study=with_options(study, observer, {} if kept else found),
-            start=parameters.written(every, start),
-            found=found,
-            kept_start=kept,
-            judged=judged,
+            study=with_options(study, observer, {} if kept_start else tuned_options),
+            start=parameters.written(free, start),
+            found=tuned_options,
+            kept_start=kept_start,
+            judged=judgements,
             points=trials.points,
             method=how,
             objective=aim,
-            certified=is_certified(planning.run_design(observer, entry, known, chosen).certificate._asdict()),
+            certified=is_certified(planning.run_design(observer, entry, context, final_options).certificate._asdict()),
             exact=exact_objective,
         )
         history.finish(target, task, tuned)
@@ -152,29 +155,29 @@ def tune(
 def free_parameters(
     observer: str,
     entry: ObserverSpec,
-    known: DesignContext,
+    context: DesignContext,
     options: BaseModel,
-    designed: Design,
+    design: Design,
     only: list[str] | None,
     where: str,
 ) -> tuple[list[parameters.Free], Vector]:
     """Return the free parameters on which the gains depend, and their start; errors as of `parameters.start`."""
-    numbers = designed.certificate.numbers
-    every, at = parameters.start(observer, entry, options, numbers, only, where)
+    numbers = design.certificate.numbers
+    free, at = parameters.start(observer, entry, options, numbers, only, where)
 
     def gains(there: Vector) -> list[Leaf]:
         return optimizers.numbers(
-            planning.run_design(observer, entry, known, parameters.put(options, every, there)).gains
+            planning.run_design(observer, entry, context, parameters.put(options, free, there)).gains
         )
 
-    used = parameters.sensitive_names(every, at, gains)
-    if not used:
-        names = ", ".join(f.name for f in every)
+    sensitive = parameters.sensitive_names(free, at, gains)
+    if not sensitive:
+        names = ", ".join(f.name for f in free)
         raise parameters.NothingFree(
             f"{where}: got free parameters ({names}) on which its gains do not depend with this design method, expected one "
             "on which they do; change the design method, or tune another observer."
         )
-    return parameters.start(observer, entry, options, numbers, used, where)
+    return parameters.start(observer, entry, options, numbers, sensitive, where)
 
 
 def descend(
@@ -226,9 +229,9 @@ def _check(budget: int, training: Seeds, validation: Seeds, exact: bool, where: 
         )
 
 
-def with_options(study: Study, observer: str, chosen: TomlTable) -> TomlTable:
-    """Return the study as TOML writes it, with the options `chosen` for the observer."""
+def with_options(study: Study, observer: str, values: TomlTable) -> TomlTable:
+    """Return the study as TOML writes it, with the options `values` for the observer."""
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     options = raw.get("options", {})
-    merged = options.get(observer, {}) | chosen
-    return raw | ({"options": options | {observer: merged}} if merged else {})
+    observer_options = options.get(observer, {}) | values
+    return raw | ({"options": options | {observer: observer_options}} if observer_options else {})

@@ -19,24 +19,26 @@ from pcbench.toml_text import TomlTable
 WORSE = 2.0  # standard errors by which the tuned gains may be worse than the start
 
 
-def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: dict[str, Seeds]) -> list[Judgement]:
+def judge(
+    study: Study, observer: str, tuned_options: TomlTable, aim: Objective, seeds: dict[str, Seeds]
+) -> list[Judgement]:
     """Run start and tuned gains with the same seeds, for each range of seeds."""
     base = base_of(observer) or observer
     current = merge_options(study, scenarios_of(study)[study.scenarios[0]], observer)
     labels = f"{base}-start", f"{base}-tuned"
     options = {k: v for k, v in study.options.items() if k != observer or k == base}
-    options |= {labels[0]: current, labels[1]: current | found}
+    options |= {labels[0]: current, labels[1]: current | tuned_options}
     metric, out = POOLED.get(aim.metric, aim.metric), []
-    for what, each in seeds.items():
-        changes = {"observers": list(labels), "options": options, "first_seed": each.first, "seeds": each.many}
+    for kind, span in seeds.items():
+        changes = {"observers": list(labels), "options": options, "first_seed": span.first, "seeds": span.many}
         result = run_study.execute(parse.grid_of(study, changes, []))
         stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
         (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
         sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
         (a, a_se, bad), (b, b_se, worse) = stats.loc[list(labels), ["mean", "se", "diverged"]].to_numpy().tolist()
         judgement = Judgement(
-            what=what,
-            seeds=each,
+            what=kind,
+            seeds=span,
             start=a,
             start_se=a_se,
             tuned=b,
@@ -49,9 +51,9 @@ def judge(study: Study, observer: str, found: TomlTable, aim: Objective, seeds: 
     return out
 
 
-def against(judged: list[Judgement]) -> str:
+def against(judgements: list[Judgement]) -> str:
     """Return why the tuned gains are rejected (worse than the start on the validation runs); empty if they are not."""
-    (j,) = (each for each in judged if each.what == "validation")
+    (j,) = (judgement for judgement in judgements if judgement.what == "validation")
     if j.diverged[1] > j.diverged[0]:
         return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, {j.diverged[0]} with the start"
     if j.difference != j.difference:
@@ -80,8 +82,8 @@ def require_tunable(study: Study, observers: list[str]) -> None:
 def require_free_labels(study: Study, scenario: Scenario, observers: list[str]) -> None:
     """Raise UserError if the scenario has options for the label of a version, which would override its own."""
     for observer in observers if len(study.tunings) > 1 else ():
-        if taken := [label for t in study.tunings if (label := f"{observer}-{t}") in scenario.options]:
+        if conflicts := [label for t in study.tunings if (label := f"{observer}-{t}") in scenario.options]:
             raise UserError(
-                f"{study.name}: tuning: got {taken[0]} for gains of {observer}, expected a label that {scenario.name} has no "
-                f"options for; run {observer} under another label."
+                f"{study.name}: tuning: got {conflicts[0]} for gains of {observer}, expected a label that {scenario.name} has "
+                f"no options for; run {observer} under another label."
             )

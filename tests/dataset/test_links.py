@@ -117,7 +117,7 @@ def test_forms_of_what_is_removed_leave_names_of_users_alone(tmp_path):
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
-    gain_variants._require_own_folder(STUDIES["quick"], tmp_path, True)
+    gain_variants._require_study_folder(STUDIES["quick"], tmp_path, True)
     assert storage.names(storage.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
 
 

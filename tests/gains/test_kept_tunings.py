@@ -6,7 +6,7 @@ import pcbench
 from pcbench.dataset.seed_ranges import seed_range
 from pcbench.gains import history, tune
 
-LOAD = history.load_kept  # before the tests are kept from it
+LOAD = history.copy_from_cache  # before the tests are kept from it
 SHORT = {"base": "cart/white", "name": "short", "duration": 1.0, "steady_start": 0.5}
 STUDY = {"name": "kept", "scenario": SHORT, "observers": ["kf"]}
 CALL = {"budget": 2, "training_seeds": (0, 4), "validation_seeds": (100, 104), "only": ["q"]}
@@ -27,7 +27,7 @@ def cache(tmp_path_factory):
 def evaluations(monkeypatch, cache):
     """How often an objective was evaluated, with a cache of its own."""
     monkeypatch.setenv("PCBENCH_CACHE", str(cache))
-    monkeypatch.setattr(history, "load_kept", LOAD)
+    monkeypatch.setattr(history, "copy_from_cache", LOAD)
     asked = []
 
     def evaluator(*_):
