@@ -94,16 +94,16 @@ def _findings() -> Iterator[Claim]:
     signals = list(SIGNALS.values())[:4]
     frame = api.simulate("arm/sine", ["smo", "pio"])
     e = {o: frame[signals].to_numpy() - frame[[f"{o}.{s}" for s in signals]].to_numpy() for o in ("smo", "pio")}
-    ebar = {o: each[:, [0, 3]] - each[:, [2]] * smo.PRINTED.L1[:, 0] for o, each in e.items()}
+    ebar = {o: error[:, [0, 3]] - error[:, [2]] * smo.PRINTED.L1[:, 0] for o, error in e.items()}
     k = to_ticks(6.0, SCENARIOS["arm/sine"])
     off_by = max(np.abs(b[k] - expm(6 * A11b) @ b[0]).max() for b in ebar.values())
     jump = nominal().query("scenario == 'arm/sawtooth' and signal == 'input'")
     recovery = jump.set_index("observer").recovery_time * 1e3
     falls = api.simulate("arm/sawtooth", ["smo", "pio"])
     tail = falls[falls.t > 6.0 - 1e-9]
-    apart = {o: np.abs(tail.input.to_numpy() - tail[f"{o}.input"].to_numpy()) for o in ("smo", "pio")}
-    when = sorted({f"{tail.t.to_numpy()[int(np.argmax(each))]:g}" for each in apart.values()})
-    worst_d = {o: each.max() for o, each in apart.items()}
+    deviations = {o: np.abs(tail.input.to_numpy() - tail[f"{o}.input"].to_numpy()) for o in ("smo", "pio")}
+    when = sorted({f"{tail.t.to_numpy()[int(np.argmax(error))]:g}" for error in deviations.values()})
+    worst_d = {o: error.max() for o, error in deviations.items()}
     size = {dt: _chatter(dt) for dt in (4e-4, 1e-4)}
     steps = ", ".join(f"{e3:.1e} with steps of {dt:g} s" for dt, e3 in size.items())
     steps_of_d = np.diff(falls.input.to_numpy())
@@ -141,22 +141,22 @@ def _just_after(falls: pd.DataFrame, tau: float) -> float:
 
 def _compare_columns() -> Iterator[Claim]:
     """Section 5 states that PIO is better under d1; yield one claim per column."""
-    for what in METRICS:
-        size = {o: {x: entry("d1", o, x, what) for x in SIGNALS} for o in ("smo", "pio")}
+    for metric in METRICS:
+        size = {o: {x: entry("d1", o, x, metric) for x in SIGNALS} for o in ("smo", "pio")}
         lower = {x: size["pio"][x] < size["smo"][x] for x in SIGNALS}
         text = f"smaller in {', '.join(x for x, less in lower.items() if less)}"
         text += "".join(f"; not in {x}" for x, less in lower.items() if not less)
-        yield statement(f"under d1 PIO has the smaller {what} errors", "better", text, all(lower.values()))
+        yield statement(f"under d1 PIO has the smaller {metric} errors", "better", text, all(lower.values()))
 
 
 def _chatter(dt: float) -> float:
     """Return PIO's largest error of x3 from 6 s on, integrated with another step."""
     base = SCENARIOS["arm/sine"]
-    one = base.having(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
+    scenario = base.having(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
-    drafted = planning.draft(cell_of(one), {"pio": options_of(study, one, "pio")})
-    (done,) = run_local.execute(study, padding.fit([drafted]))
-    return float(done.results["pio"]["steady_max_abs_error"][2, 0])
+    draft = planning.draft(cell_of(scenario), {"pio": options_of(study, scenario, "pio")})
+    (run,) = run_local.execute(study, padding.fit([draft]))
+    return float(run.results["pio"]["steady_max_abs_error"][2, 0])
 
 
 def _compare_on_samples() -> Iterator[Claim]:
@@ -165,16 +165,16 @@ def _compare_on_samples() -> Iterator[Claim]:
     quiet = {"delay": [0.0], "noise_std": [0.0], "sampling_period": [0.01, 0.2]}
     rows = api.run("arm/sampled", observers=four, seeds=1, axes=quiet).runs.query("signal == 'link_velocity'")
     rms = rows.set_index(["observer", "sampling_period"])["steady_rmse"].to_dict()
-    for label, what in (("-hold", "y held"), ("", "y predicted")):
+    for label, mode in (("-hold", "y held"), ("", "y predicted")):
         for te in (0.01, 0.2):
             a, b = rms["smo" + label, te], rms["pio" + label, te]
-            claim = f"sampled every {te:g} s, {what}: x2 rms"
+            claim = f"sampled every {te:g} s, {mode}: x2 rms"
             yield report_finding(claim, f"SMO {a:.4g}, PIO {b:.4g} rad/s", f"SMO {a:.3g}, PIO {b:.3g} rad/s")
     late = ["smo", "pio", "smo-reconstruct", "pio-reconstruct", "kf"]
     mean, half = _rms(api.run("arm/sampled", observers=late, seeds=SEEDS).stats)
-    for names, what in ((late[:2], "without"), (late[2:], "with")):
+    for names, mode in ((late[:2], "without"), (late[2:], "with")):
         text = ", ".join(f"{name.split('-')[0]} {mean[name]:.3g} +- {half[name]:.1g}" for name in names)
-        claim = f"te = d = 0.02 s, noise 1e-3, prediction {what} the estimated input: x2 rms"
+        claim = f"te = d = 0.02 s, noise 1e-3, prediction {mode} the estimated input: x2 rms"
         yield report_finding(claim, text + " rad/s")
     noisy = {"delay": [0.0], "noise_std": [1e-3, 3e-3], "sampling_period": [0.005]}
     stats = api.run("arm/sampled", observers=["smo", "pio"], seeds=SEEDS, axes=noisy).stats
@@ -197,15 +197,15 @@ def table_claims() -> list[Claim]:
     near = {"scenario": {"initial_spread": 1e-6}}
     many = api.run({"name": "starts", "scenarios": scenarios}, observers=["pio"], seeds=STARTS, options=near).runs
     out = []
-    for (force, observer, what), text in PRINTED.items():
+    for (force, observer, metric), text in PRINTED.items():
         for (x, signal), printed in zip(SIGNALS.items(), text.split(), strict=True):
-            value = entry(force, observer, x, what)
-            others = _column(many, force, observer, signal, what)
-            low, high = (others.min(), others.max()) if len(others) else (value, value)
+            value = entry(force, observer, x, metric)
+            nearby_values = _column(many, force, observer, signal, metric)
+            low, high = (nearby_values.min(), nearby_values.max()) if len(nearby_values) else (value, value)
             how = judge(printed, value, min(low, value), max(high, value))
             nearby = f"; {STARTS} starts nearby {low:.3g} to {high:.3g}" if how in ("band", "differs") else ""
             verdict, rough = FALSE if how == "differs" else REPRODUCED, observer == "pio" and how != "differs"
-            claim = f"Table 2, {force} {observer.upper()} {what} {x}"
+            claim = f"Table 2, {force} {observer.upper()} {metric} {x}"
             steady = STEADY[how] if rough else f"{value:.1g}" if how == "differs" else ""
             out.append(Claim(claim, printed, f"{value:.6g}, {HOW[how]}{nearby}", verdict, steady))
     return out
@@ -218,9 +218,9 @@ def nominal() -> pd.DataFrame:
     return api.run(study, observers=["smo", "pio"], seeds=1).runs
 
 
-def entry(force: str, observer: str, x: str, what: str) -> float:
+def entry(force: str, observer: str, x: str, metric: str) -> float:
     """Return the computed value of an entry of Table 2."""
-    (value,) = _column(nominal(), force, observer, SIGNALS[x], what)
+    (value,) = _column(nominal(), force, observer, SIGNALS[x], metric)
     return float(value)
 
 
@@ -233,14 +233,14 @@ def judge(printed: str, value: float, low: float, high: float) -> str:
     return "band" if low <= float(printed) <= high else "differs"
 
 
-def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, what: str) -> NDArray[np.float64]:
-    mine = (runs.scenario == INPUTS[force]) & (runs.observer == observer) & (runs.signal == signal)
-    return runs.loc[mine, METRICS[what]].to_numpy()
+def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, metric: str) -> NDArray[np.float64]:
+    mask = (runs.scenario == INPUTS[force]) & (runs.observer == observer) & (runs.signal == signal)
+    return runs.loc[mask, METRICS[metric]].to_numpy()
 
 
 def gain_claims() -> list[Claim]:
     """Return the claims on printed gains and constants."""
-    return [*_printed_parts(), *_gains(), *_constants()]
+    return [*_part_claims(), *_gains(), *_constants()]
 
 
 def parts() -> Split:
@@ -258,14 +258,14 @@ def _gains() -> Iterator[Claim]:
     rate = f"{proof['rate_proven']:.6f} 1/s"
     yield statement("SMO gains certify alpha = 1", "1", rate, proof["rate_proven"] >= 1)
     L1 = smo.PRINTED.L1
-    optimum, given = pi_lmi.solve(plant, L1, 1.0, WHERE), pi_lmi.certify(pio.PRINTED, plant, L1).numbers
-    yield _objective("PIO gains: least g of (38), (52) with the printed L1", given["g"], optimum.g)
+    optimum, numbers = pi_lmi.solve(plant, L1, 1.0, WHERE), pi_lmi.certify(pio.PRINTED, plant, L1).numbers
+    yield _objective("PIO gains: least g of (38), (52) with the printed L1", numbers["g"], optimum.g)
     for name in ("KP", "KI"):
         yield _compare_matrix(f"PIO {name}", getattr(pio.PRINTED, name), getattr(optimum, name))
-    rate, short = f"{given['rate_proven']:.6f} 1/s", given["rate_proven"] > 1 - ROUNDED
+    rate, short = f"{numbers['rate_proven']:.6f} 1/s", numbers["rate_proven"] > 1 - ROUNDED
     yield statement("PIO gains certify beta = 1, except for rounding", "1", rate, bool(short))
-    own = pi_lmi.solve(plant, best.L1, 1.0, WHERE).g
-    yield report_finding("PIO: least g with the optimal L1", f"{own:.6g}")
+    least_g = pi_lmi.solve(plant, best.L1, 1.0, WHERE).g
+    yield report_finding("PIO: least g with the optimal L1", f"{least_g:.6g}")
 
 
 def _objective(claim: str, printed: float, best: float) -> Claim:
@@ -285,7 +285,7 @@ def _entries(M: ArrayLike, many: int = 4) -> str:
     return "; ".join(" ".join(f"{0.0 if abs(v) < 1e-4 else v:.{many}g}" for v in row) for row in np.asarray(M))
 
 
-def _printed_parts() -> Iterator[Claim]:
+def _part_claims() -> Iterator[Claim]:
     """Yield claims on the arm in the coordinates of (4), as printed without signs."""
     plant = parts()
     for name, printed in PARTS.items():
@@ -310,16 +310,16 @@ def _printed_parts() -> Iterator[Claim]:
 def _constants() -> Iterator[Claim]:
     """Yield claims on the robust terms, and on the modes with both sensors on the link."""
     delta = arm.Numbers().M * arm.Numbers().g * arm.Numbers().l / arm.Numbers().J
-    left = {name: 1 - delta - size for name, size in (("d1", 0.25), ("d2", 0.35))}
-    text = f"{1 - delta:.2f} without d; {left['d1']:.2f} with d1, {left['d2']:.2f} with d2"
+    eta = {name: 1 - delta - size for name, size in (("d1", 0.25), ("d2", 0.35))}
+    text = f"{1 - delta:.2f} without d; {eta['d1']:.2f} with d1, {eta['d2']:.2f} with d2"
     trace, falls = api.simulate("arm/sine", ["smo"]), api.simulate("arm/sawtooth", ["smo"]).input
     rate = delta * (trace.link_velocity * np.cos(trace.link_angle)).abs().max() + 0.25 * 2 * pi
     jump, step = falls.diff().abs().max(), SCENARIOS["arm/sawtooth"].dt
     model = arm.nominal(arm.Numbers())
-    fixed = unmovable(split(model._replace(C=np.eye(4)[:2]), WHERE))
-    modes = ", ".join(map(format_mode, fixed))
+    fixed_modes = unmovable(split(model._replace(C=np.eye(4)[:2]), WHERE))
+    modes = ", ".join(map(format_mode, fixed_modes))
     yield statement("|f| <= delta without d", "0.1103", f"delta = {delta:.5f}, to 4 digits", rounds_to("0.1103", delta))
-    yield statement("rho = 1 leaves eta = 0.89 (22)", "0.89", text, min(left.values()) > 0.885)
+    yield statement("rho = 1 leaves eta = 0.89 (22)", "0.89", text, min(eta.values()) > 0.885)
     yield statement("zeta = 1.8 bounds f' under d1 (38)", "1.8", f"at most {rate:.2f}", bool(rate <= 1.8))
     yield statement(
         "zeta = 1.8 bounds f' under d2 (38)",
@@ -331,5 +331,5 @@ def _constants() -> Iterator[Claim]:
         "modes with both sensors on the link, which no L1 changes",
         "-0.006 +- 1.9365j (sign restored)",
         modes,
-        REPRODUCED if abs(fixed[0].real + 0.006) < 5e-4 else MISPRINT,
+        REPRODUCED if abs(fixed_modes[0].real + 0.006) < 5e-4 else MISPRINT,
     )

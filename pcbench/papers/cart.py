@@ -103,8 +103,8 @@ def _under_noise() -> Iterator[Claim]:
         duration=43.142, steady_start=40.0
     )  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
-    (done,) = run_local.execute(study, padding.fit([planning.draft(cell_of(late), options)]))
-    a, b = (np.sqrt(done.results[name]["steady_mse"][0].mean()) for name in options)
+    (run,) = run_local.execute(study, padding.fit([planning.draft(cell_of(late), options)]))
+    a, b = (np.sqrt(run.results[name]["steady_mse"][0].mean()) for name in options)
     claim = "6.2 Gaussian: PCCEBO stays better (rms over a sawtooth period after 40 s)"
     stays = statement(claim, "better responses", f"pccebo {a:.2f} m, kfbo {b:.2f} m", bool(a < b))
     rows = api.run(study, options={"scenario": {"random_initial_state": True}}).stats.query("signal == 'position'")
@@ -116,11 +116,11 @@ def _under_noise() -> Iterator[Claim]:
 
 def _misprints() -> Iterator[Claim]:
     model = planning.setting(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
-    asprinted = riccati.continuous(model, 0.001 * np.eye(2), 0.004 * np.eye(1), "reproduce cart")
+    solution = riccati.continuous(model, 0.001 * np.eye(2), 0.004 * np.eye(1), "reproduce cart")
     numbers = api.design("cart/nominal", "kfbo").certificate.numbers
     P, K = numbers["P"], numbers["K"]
-    literal, off = (P @ model.C.T * 0.004)[:, 0], held_over_a_period()
-    yield Claim("Q = 0.001 I gives the printed K", "[2.0405, 2.0818]", _row(asprinted.K[:, 0]), MISPRINT)
+    literal, off = (P @ model.C.T * 0.004)[:, 0], error_of_held_input()
+    yield Claim("Q = 0.001 I gives the printed K", "[2.0405, 2.0818]", _row(solution.K[:, 0]), MISPRINT)
     yield Claim("Q = 0.002 B B' gives the printed K", "[2.0405, 2.0818]", _row(K[:, 0]), REPRODUCED)
     yield Claim("(26) K = P C' R", "[2.0405, 2.0818]", _row(literal) + "; P C' R^-1 gives the printed K", MISPRINT)
     yield Claim(
@@ -134,36 +134,39 @@ def _misprints() -> Iterator[Claim]:
 def _open() -> Iterator[Claim]:
     """Yield results that depend on details missing in the paper; velocity."""
     sections = ["cart/gaussian", "cart/gaussian-fast"]
-    both = api.run(Study(name="te", scenarios=sections, observers=["pccebo", "kfbo"], seeds=SEEDS)).stats
+    stats = api.run(Study(name="te", scenarios=sections, observers=["pccebo", "kfbo"], seeds=SEEDS)).stats
     fast = "; ".join(
-        f"te = {SCENARIOS[s].sampling.sampling_period[0]:g} s: {_both(both, s, 'position')} m" for s in sections
+        f"te = {SCENARIOS[s].sampling.sampling_period[0]:g} s: {_mae_text(stats, s, 'position')} m" for s in sections
     )
-    signs = {sign: _drifting(sign) for sign in (1, -1)}
+    signs = {sign: _drift_stats(sign) for sign in (1, -1)}
     drift = "; ".join(
-        f"{'+' if sign > 0 else '-'}: {_both(stats, 'cart/drift', 'position')} m" for sign, stats in signs.items()
+        f"{'+' if sign > 0 else '-'}: {_mae_text(drift_stats, 'cart/drift', 'position')} m"
+        for sign, drift_stats in signs.items()
     )
     calm = api.run(Study(name="calm", scenarios=["cart/nominal"], observers=["pccebo", "kfbo"], seeds=1)).stats
-    apart = abs(np.subtract(*_values(calm, "cart/nominal", "velocity", "mae")))
+    difference = abs(np.subtract(*_values(calm, "cart/nominal", "velocity", "mae")))
     yield Claim("6.2 Gaussian: te with d = 0.6 s", "not printed", f"position MAE, {fast}", OPEN)
     yield Claim("6.3: operator before 20 sin 2t cos 2t in B21", "lost", f"position MAE, {drift}", OPEN)
     yield Claim("Figure 12: MAE and RMSE", "bars without numbers", "the orders are compared above", OPEN)
     yield statement(
         "6.1: PCCEBO better in velocity MAE",
         "better performance",
-        f"{_both(calm, 'cart/nominal', 'velocity')} m/s: equal" if apart < 1e-9 else f"apart by {apart:.2g} m/s",
-        bool(apart > 1e-9),
+        f"{_mae_text(calm, 'cart/nominal', 'velocity')} m/s: equal"
+        if difference < 1e-9
+        else f"apart by {difference:.2g} m/s",
+        bool(difference > 1e-9),
     )
     for metric in ("mae", "rmse"):
-        quiet, moved = (
+        calm_values, drift_values = (
             _values(s, n, "position", metric) for s, n in ((calm, "cart/nominal"), (signs[1], "cart/drift"))
         )
-        more = moved - quiet
+        more = drift_values - calm_values
         text = f"{metric.upper()} grows by {more[0]:.3f} m (pccebo), {more[1]:.3f} m (kfbo)"
         claim = f"6.3: PCCEBO less sensitive to the parameters, {metric.upper()}"
         yield statement(claim, "less sensitive", text, bool(more[0] < more[1]))
 
 
-def _drifting(sign: int) -> pd.DataFrame:
+def _drift_stats(sign: int) -> pd.DataFrame:
     axes = {"plant.drift_sign": [sign]}
     return api.run(Study(name="sign", scenarios=["cart/drift"], observers=["pccebo", "kfbo"], seeds=1, axes=axes)).stats
 
@@ -174,7 +177,7 @@ def _values(stats: pd.DataFrame, scenario: str, signal: str, metric: str) -> np.
     return rows.set_index("observer")["mean"].loc[["pccebo", "kfbo"]].to_numpy()
 
 
-def _both(stats: pd.DataFrame, scenario: str, signal: str) -> str:
+def _mae_text(stats: pd.DataFrame, scenario: str, signal: str) -> str:
     a, b = _values(stats, scenario, signal, "mae")
     return f"pccebo {a:.4g}, kfbo {b:.4g}"
 
@@ -228,7 +231,7 @@ def _slower() -> Claim:
     return statement("Remark 3: the larger R, the slower KFBO", "slow response", text, falls)
 
 
-def held_over_a_period(te: float = 0.2, horizon: float = 10.0) -> float:
+def error_of_held_input(te: float = 0.2, horizon: float = 10.0) -> float:
     """Return PCCEBO's largest position error [m] from 1 s on if (8a) holds the input over a period, as printed.
 
     With L = [1, 0]' the sampled position is exact. The velocity error at the end of a period is visible until the next arrival.
@@ -238,10 +241,10 @@ def held_over_a_period(te: float = 0.2, horizon: float = 10.0) -> float:
     decay, e, worst = exp(-LAM * dt), 0.0, 0.0
     gain = B * (1 - decay) / LAM
     for first in range(0, len(u) - ticks, ticks):
-        exact = held = 0.0
+        exact = approximate = 0.0
         for k in range(first, first + ticks):
-            exact, held = decay * exact + gain * u[k], decay * held + gain * u[first]
-        e = exp(-LAM * te) * e + exact - held
+            exact, approximate = decay * exact + gain * u[k], decay * approximate + gain * u[first]
+        e = exp(-LAM * te) * e + exact - approximate
         if first * dt >= 1:
             worst = max(worst, abs(-expm1(-LAM * 2 * te) / LAM * e))
     return worst

@@ -69,10 +69,10 @@ def _remark_2() -> Iterator[Claim]:
     """Yield the claim on A_0 = 0: x(k+1) = 0.6 x(k-1) + 0.6 x(k-2), with A_0 = diag(0, 0.6), A_2 = diag(0.6, 0), P = I."""
     grows = np.abs(np.roots([1, 0, -0.6, -0.6])).max()
     e = 1.0  # of (22): the norms are equal and there is one delayed term
-    left = (1 + e) * 0.6**2 - 1, (1 + 1 / e) * 0.6**2 - 1
-    text = f"x(k+1) = 0.6 x(k-1) + 0.6 x(k-2) is certified (largest eigenvalue {max(left):.2f})"
+    eigenvalues = (1 + e) * 0.6**2 - 1, (1 + 1 / e) * 0.6**2 - 1
+    text = f"x(k+1) = 0.6 x(k-1) + 0.6 x(k-2) is certified (largest eigenvalue {max(eigenvalues):.2f})"
     text += f" and grows by a factor of {grows:.4f} per step"
-    verdict = FALSE if grows > 1 and max(left) < 0 else REPRODUCED
+    verdict = FALSE if grows > 1 and max(eigenvalues) < 0 else REPRODUCED
     yield Claim("Remark 2: Theorem 2 applies where A_0 = 0", "can be applied", text, verdict)
 
 
@@ -113,34 +113,36 @@ def _largest(study: dict[str, object]) -> float:
 def _claims() -> Iterator[Claim]:
     """Yield the three claims, on the plant as printed (`literal`) and made consistent (`1s`, `10s`)."""
     methods = ["chain", "equal-delay", "no-delay", "no-delay-plain", "model-only"]
-    for scenario, what in PLANTS:
+    for scenario, description in PLANTS:
         study = {"name": "claims", "scenarios": [scenario], "options": {"no-delay-plain": {"variant": "plain"}}}
         trace = api.simulate(study, methods)
         x = trace[STATES].to_numpy()
         e = {name: np.abs(x - trace[[f"{name}.{s}" for s in STATES]].to_numpy())[:, 1] for name in methods}
         radius = float(api.design(scenario, "chain").certificate.numbers["radius_of_one_sample"])
-        left, te = e["chain"][10], SCENARIOS[scenario].sampling.sampling_period[0]
-        text = f"enthalpy off by {e['chain'][0]:.0f} J at first, {_small(left)} after 10 samples, {10 * te:g} s"
+        error, te = e["chain"][10], SCENARIOS[scenario].sampling.sampling_period[0]
+        text = f"enthalpy off by {e['chain'][0]:.0f} J at first, {_small(error)} after 10 samples, {10 * te:g} s"
         text += f" (radius {radius:.4f})"
-        yield statement(f"#1 converges: {what}", "in 10 s", text, bool(left < 1e-3 * e["chain"][0]))
+        yield statement(f"#1 converges: {description}", "in 10 s", text, bool(error < 1e-3 * e["chain"][0]))
         share = e["equal-delay"][100:].mean() / np.abs(x[100:, 1]).mean()
         slow = float(api.design(scenario, "equal-delay").certificate.numbers["radius"])
         text = f"enthalpy off by {100 * share:.2g} % of its size, radius {slow:.3f} (a substitute: [21] is not printed)"
-        claim = f"#2 (one delay of 2) is biased and slow: {what}"
+        claim = f"#2 (one delay of 2) is biased and slow: {description}"
         yield statement(claim, "biased, slow", text, bool(share > 0.01 and slow > 0.5))
         numbers = api.design(scenario, "no-delay").certificate.numbers
         text = f"radius {numbers['radius_with_these']:.4f}, |e| of enthalpy {_small(e['no-delay'][-1])} at the end"
-        yield statement(f"#3 (samples aligned) diverges: {what}", "diverges", text, numbers["radius_with_these"] > 1)
+        yield statement(
+            f"#3 (samples aligned) diverges: {description}", "diverges", text, numbers["radius_with_these"] > 1
+        )
         text = f"bounded: at most {e['no-delay-plain'].max():.3g} J"
         yield statement(
-            f"#3 (delayed data as they arrive) diverges: {what}",
+            f"#3 (delayed data as they arrive) diverges: {description}",
             "diverges",
             text,
             bool(e["no-delay-plain"].max() > 1e9),
         )
         if scenario == "csth/literal":
-            alone, used = _small(e["model-only"][5]), _small(e["chain"][5])
-            text = f"|e| of enthalpy after 5 samples {alone} without measurements, {used} with"
+            without_samples, with_samples = _small(e["model-only"][5]), _small(e["chain"][5])
+            text = f"|e| of enthalpy after 5 samples {without_samples} without measurements, {with_samples} with"
             fair = bool(e["model-only"][5] > e["chain"][5])
             yield statement("The plant as printed shows the benefit of the observer", "Figures 3 to 5", text, fair)
 
@@ -153,15 +155,15 @@ def _noise() -> Iterator[Claim]:
     """Yield findings under noise: Kalman bound over root-mean-square error of enthalpy, samples 100 to 300."""
     result = api.run("csth/10s-noise", observers=["chain", "chain-riccati"], seeds=SEEDS)
     rows = result.stats.query("signal == 'enthalpy' and metric == 'rms_efficiency'").set_index("observer")
-    for name, what in (("chain", "printed poles"), ("chain-riccati", "Riccati gains, deadbeat outputs")):
+    for name, description in (("chain", "printed poles"), ("chain-riccati", "Riccati gains, deadbeat outputs")):
         row = rows.loc[name]
         text = f"{row['mean']:.3f} +- {(row['ci_high'] - row['ci_low']) / 2:.3f} of the best possible"
-        yield report_finding(f"under noise the chain with {what}", text)
+        yield report_finding(f"under noise the chain with {description}", text)
 
 
 def design_claims() -> list[Claim]:
     """Return the claims on the printed design."""
-    return [*_entries(), *_misprints(), *_list_undetermined()]
+    return [*_entries(), *_misprints(), *_open_claims()]
 
 
 def design_chain(d: int, T_printed: str) -> dict[str, Matrix]:
@@ -188,11 +190,11 @@ def _entries() -> Iterator[Claim]:
             value, wide = abs(values[name].ravel()[i]), values[name].shape[1]
             if float(word) == 0 and value < 1e-12:
                 continue
-            shown = f"{GARBLED[number, name, i]}, read {word}" if (number, name, i) in GARBLED else word
+            printed = f"{GARBLED[number, name, i]}, read {word}" if (number, name, i) in GARBLED else word
             verdict = REPRODUCED if close(word, value) else MISPRINT
             digits = max(3, len(word.partition("e")[0].replace(".", "").lstrip("0")))
             claim = f"chain {number}: |{name}({i // wide + 1},{i % wide + 1})|"
-            yield Claim(claim, shown, f"{value:.{digits}g}", verdict)
+            yield Claim(claim, printed, f"{value:.{digits}g}", verdict)
 
 
 def _misprints() -> Iterator[Claim]:
@@ -211,16 +213,16 @@ def _feedthrough() -> str:
     A, B, C, D, V = (rng.standard_normal(shape) for shape in [(3, 3), (3, 1), (2, 3), (2, 1), (2, 2)])
     x, u = rng.standard_normal(3), rng.standard_normal((2, 1))
     y = C @ (A @ x + B @ u[0]) + D @ u[1]
-    rest = (C @ A - V @ C) @ x + V @ (C @ x + D @ u[0])
-    right = rest + D @ u[1] + (C @ B - V @ D) @ u[0]
-    printed = rest + (D - V @ D) @ u[1] + C @ B @ u[0]
-    wrong, exact = np.abs(y - printed).max(), np.abs(y - right).max()
+    other_terms = (C @ A - V @ C) @ x + V @ (C @ x + D @ u[0])
+    exact_y = other_terms + D @ u[1] + (C @ B - V @ D) @ u[0]
+    printed_y = other_terms + (D - V @ D) @ u[1] + C @ B @ u[0]
+    wrong, exact = np.abs(y - printed_y).max(), np.abs(y - exact_y).max()
     close = "exact" if exact < 1e-12 else f"off by {exact:.0e}"
     return f"D, C A^(d-1) B - V D: {close}; as printed off by {wrong:.2f}"
 
 
-def _list_undetermined() -> Iterator[Claim]:
-    free = "C is invertible, so any invertible T solves (8): nine free numbers, used as printed"
-    lost = "depends on the signs of T, which are lost"
-    yield Claim("chains 1, 2: T", "nine numbers each", free, OPEN)
-    yield Claim("chains 1, 2: W, the rest of V", "printed", lost, OPEN)
+def _open_claims() -> Iterator[Claim]:
+    free_reason = "C is invertible, so any invertible T solves (8): nine free numbers, used as printed"
+    reason = "depends on the signs of T, which are lost"
+    yield Claim("chains 1, 2: T", "nine numbers each", free_reason, OPEN)
+    yield Claim("chains 1, 2: W, the rest of V", "printed", reason, OPEN)

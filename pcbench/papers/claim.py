@@ -40,13 +40,13 @@ class Claim(NamedTuple):
 
 def counts(rows: Iterable[Claim]) -> dict[str, int]:
     """Return the counts of each verdict, then of findings and of numbers that were not obtained."""
-    found = Counter(row.verdict for row in rows)
-    return {name: found[name] for name in (*VERDICTS, FINDING, NOT_OBTAINED)}
+    counter = Counter(row.verdict for row in rows)
+    return {name: counter[name] for name in (*VERDICTS, FINDING, NOT_OBTAINED)}
 
 
-def report_finding(what: str, text: str, steady: str = "") -> Claim:
+def report_finding(claim: str, text: str, steady: str = "") -> Claim:
     """Return a result that the paper does not contain."""
-    return Claim(what, OURS, text, FINDING, steady)
+    return Claim(claim, OURS, text, FINDING, steady)
 
 
 def statement(claim: str, printed: str, reproduced: str, true: bool, steady: str = "") -> Claim:
@@ -54,27 +54,29 @@ def statement(claim: str, printed: str, reproduced: str, true: bool, steady: str
     return Claim(claim, printed, reproduced, REPRODUCED if true else FALSE, steady)
 
 
-def digits(claim: str, printed: str, value: float, failed: str = FALSE) -> Claim:
+def digits(claim: str, printed: str, value: float, mismatch: str = FALSE) -> Claim:
     """Return the comparison of a printed decimal number with a value rounded to as many decimals."""
     many = len(printed.replace("-", "").replace(".", "").lstrip("0"))
     same = rounds_to(printed, value)
     how = f"to {many} digits" if many else "zero to every decimal"
-    shown = f"{value:.8g}" if abs(value) > TINY else f"below {TINY:g}"
-    return Claim(claim, printed, f"{shown}, {how}" if same else shown, REPRODUCED if same else failed)
+    text = f"{value:.8g}" if abs(value) > TINY else f"below {TINY:g}"
+    return Claim(claim, printed, f"{text}, {how}" if same else text, REPRODUCED if same else mismatch)
 
 
-def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", failed: str = FALSE) -> Claim:
+def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", mismatch: str = FALSE) -> Claim:
     """Return the comparison of every number of a printed text with a value, as in `digits`; a complex value counts as two."""
-    want, found = NUMBER.findall(printed), np.atleast_1d(np.asarray(values)).ravel()
-    if np.iscomplexobj(found):
-        found = np.array([part for z in found for part in ((z.real, z.imag) if z.imag else (z.real,))])
-    same = len(want) == len(found) and all(rounds_to(text, value) for text, value in zip(want, found, strict=True))
-    more = 0 if found.dtype.kind == "i" else 1
-    shown = ", ".join(
-        f"{round(value, decimals(text) + more) + 0.0:.{decimals(text) + more}f}"
-        for value, text in zip(found, want, strict=False)
+    words, numbers = NUMBER.findall(printed), np.atleast_1d(np.asarray(values)).ravel()
+    if np.iscomplexobj(numbers):
+        numbers = np.array([part for z in numbers for part in ((z.real, z.imag) if z.imag else (z.real,))])
+    same = len(words) == len(numbers) and all(
+        rounds_to(text, value) for text, value in zip(words, numbers, strict=True)
     )
-    return Claim(claim, printed, shown, REPRODUCED if same else failed, source=source)
+    more = 0 if numbers.dtype.kind == "i" else 1
+    computed = ", ".join(
+        f"{round(value, decimals(text) + more) + 0.0:.{decimals(text) + more}f}"
+        for value, text in zip(numbers, words, strict=False)
+    )
+    return Claim(claim, printed, computed, REPRODUCED if same else mismatch, source=source)
 
 
 def rounds_to(printed: str, value: float) -> bool:

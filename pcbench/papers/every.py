@@ -23,18 +23,18 @@ def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
     """Return the claims of every paper, in the order of PAPERS."""
     names = sorted(PAPERS, key=lambda name: LONGEST_FIRST.index(name) if name in LONGEST_FIRST else -1)
     progress.begin("papers", len(names))
-    fresh = multiprocessing.get_context("spawn")  # a forked process would inherit jax's threads in an undefined state
-    found = {}
-    with ProcessPoolExecutor(min(len(names), runner.cores()), fresh) as pool:
-        waiting = {pool.submit(of, name): name for name in names}
+    spawn = multiprocessing.get_context("spawn")  # a forked process would inherit jax's threads in an undefined state
+    results = {}
+    with ProcessPoolExecutor(min(len(names), runner.cores()), spawn) as pool:
+        names_by_future = {pool.submit(of, name): name for name in names}
         try:
-            for done in as_completed(waiting):
-                found[waiting[done]] = done.result()
+            for future in as_completed(names_by_future):
+                results[names_by_future[future]] = future.result()
                 progress.step(1)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return {name: found[name] for name in PAPERS}
+    return {name: results[name] for name in PAPERS}
 
 
 def of(paper: str) -> list[Claim]:

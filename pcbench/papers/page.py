@@ -27,25 +27,27 @@ numbers.
 """
 
 
-def page(every: dict[str, list[Claim]]) -> str:
+def page(claims: dict[str, list[Claim]]) -> str:
     """Return the page of the claims of all papers."""
-    return "\n".join([HEAD, *_summary(every), *(line for name in every for line in _paper(name, every[name]))]) + "\n"
+    return (
+        "\n".join([HEAD, *_summary(claims), *(line for name in claims for line in _paper(name, claims[name]))]) + "\n"
+    )
 
 
-def _summary(every: dict[str, list[Claim]]) -> list[str]:
+def _summary(claims: dict[str, list[Claim]]) -> list[str]:
     heads = [*VERDICTS, "findings", NOT_OBTAINED]
-    rows = [[name, *map(str, counts(rows).values())] for name, rows in every.items()]
-    total = counts(row for rows in every.values() for row in rows)
+    rows = [[name, *map(str, counts(rows).values())] for name, rows in claims.items()]
+    total = counts(row for rows in claims.values() for row in rows)
     return [*_table(["paper", *heads], [*rows, ["all", *map(str, total.values())]]), ""]
 
 
 def _paper(name: str, rows: list[Claim]) -> list[str]:
-    said = [row for row in rows if row.verdict in VERDICTS]
+    judged_rows = [row for row in rows if row.verdict in VERDICTS]
     heads, keys = ["claim", "printed", "computed", "verdict"], ["claim", "printed", "reproduced", "verdict"]
-    if any(row.source for row in said):
+    if any(row.source for row in judged_rows):
         heads, keys = ["claim", "reference", "source", *heads[2:]], ["claim", "printed", "source", *keys[2:]]
     out = [f"## {name}", "", PAPERS[name][0] + ".", ""]
-    out += [*_table(heads, _cells(said, keys)), ""]
+    out += [*_table(heads, _cells(judged_rows, keys)), ""]
     if ours := [row for row in rows if row.verdict == FINDING]:
         out += ["### Findings", "", *_table(["what", "computed"], _cells(ours, ["claim", "reproduced"])), ""]
     if missing := [row for row in rows if row.verdict == NOT_OBTAINED]:

@@ -82,13 +82,13 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
     drafts = []
     for number, (F, k) in enumerate(grid):
         Kp, Ki = (np.exp(-12.2) - F) / CARTS_A12, k / CARTS_A12
-        given = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
-        study = Study(name="variance", scenarios=["cart/variable"], options=given, seeds=seeds)
-        options = {name: options_of(study, scenario, name) for name in given}
+        gain_options = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
+        study = Study(name="variance", scenarios=["cart/variable"], options=gain_options, seeds=seeds)
+        options = {name: options_of(study, scenario, name) for name in gain_options}
         drafts.append(planning.draft(cell_of(scenario, number), options))
-    for (F, k), done in zip(grid, run_local.execute(study, padding.fit(drafts)), strict=True):
+    for (F, k), run in zip(grid, run_local.execute(study, padding.fit(drafts)), strict=True):
         pco, pi = (
-            done.results[name]["steady_mse"][0] / scenario.sampling.noise_std[0] ** 2 for name in ("pco", "pi-pco")
+            run.results[name]["steady_mse"][0] / scenario.sampling.noise_std[0] ** 2 for name in ("pco", "pi-pco")
         )
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))
@@ -108,15 +108,18 @@ def claims() -> list[Claim]:
 
 def _ordering() -> Iterator[Claim]:
     """Yield the paper's own test, exact model and white noise: its claim depends on gains that are not printed."""
-    for Kp, Ki, which in ((-61.0, 12.2, "a smoothing gain, F = 0.5"), (61.0, 12.2, "an amplifying gain, F = -0.5")):
+    for Kp, Ki, description in (
+        (-61.0, 12.2, "a smoothing gain, F = 0.5"),
+        (61.0, 12.2, "an amplifying gain, F = -0.5"),
+    ):
         options = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
-        done = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
+        result = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
         for signal, unit in (("position", "m"), ("velocity", "m/s")):
-            rows = _tail_rms(done, signal)
+            rows = _tail_rms(result, signal)
             alike = max(rows.values()) < ALIKE
-            both = f"pco {rows['pco']:.5f}, pi-pco {rows['pi-pco']:.5f} {unit} (steady rms)"
-            text = f"both below {ALIKE:g} {unit}: negligible" if alike else both
-            gains = f"Kp = {Kp:g}, Ki = {Ki:g}: {which}"
+            rms_text = f"pco {rows['pco']:.5f}, pi-pco {rows['pi-pco']:.5f} {unit} (steady rms)"
+            text = f"both below {ALIKE:g} {unit}: negligible" if alike else rms_text
+            gains = f"Kp = {Kp:g}, Ki = {Ki:g}: {description}"
             claim = f"PI-PCO better than PCO in {signal} under noise, variable intervals; {gains}"
             yield statement(claim, "better", text, bool(rows["pi-pco"] < rows["pco"]) and not alike)
 
@@ -130,8 +133,8 @@ def _variances() -> Iterator[Claim]:
             f"F = {c.F:g}, k = {c.k:g}: the integral {'lowers' if lower else 'raises'} the variance (over the noise's)"
         )
         right = (c.difference < 0) == (exact[1] < exact[0]) == lower and max(map(abs, c.deviations)) < 4
-        closed = f"{'agrees with' if right else 'differs from'} the closed form, {exact[0]:.4f} -> {exact[1]:.4f}"
-        yield report_finding(claim, f"{text}; {closed}")
+        comparison = f"{'agrees with' if right else 'differs from'} the closed form, {exact[0]:.4f} -> {exact[1]:.4f}"
+        yield report_finding(claim, f"{text}; {comparison}")
 
 
 def _stability() -> Iterator[Claim]:
@@ -177,7 +180,7 @@ def arrivals(many: int) -> list[int]:
 def theta_form(late: int, many: int = 40) -> float:
     """Return the difference between (15) to (17) and (12) to (14) if (15) uses the integral `late` samples older."""
     rng, w, L = np.random.default_rng(2), 0.0, [0.0] * (late + 1)
-    y, held, worst = [5.0], 0.0, 0.0
+    y, integral, worst = [5.0], 0.0, 0.0
     times = [0, *arrivals(many)]
     theta = w - KP * y[0]
     for a, b in pairwise(times):
@@ -188,9 +191,9 @@ def theta_form(late: int, many: int = 40) -> float:
         nu = y[-1] - y[-2] - M[0] - A12 * w
         F = A22 - KP * A12
         theta = F * theta + (F * KP - KP) * y[-2] + M[1] - KP * M[0] + L[-1 - late]
-        w = A22 * w + M[1] + KP * nu + held
-        held += KI * nu
-        L.append(held)
+        w = A22 * w + M[1] + KP * nu + integral
+        integral += KI * nu
+        L.append(integral)
         worst = max(worst, abs(theta + KP * y[-1] - w))
     return worst
 

@@ -49,7 +49,7 @@ def test_lorenz_step_is_the_sum_of_its_series(terms):
 def test_extended_filter_of_the_lorenz_system_equals_numpy(terms):
     system = learned_filters.lorenz(terms)
     _, y = draw(system, jax.random.key(4))
-    found = learned_filters.extended(system, y, 1.3)
+    found = learned_filters.ekf(system, y, 1.3)
     start = taylor(terms, np.ones(3))
     R = np.broadcast_to(np.eye(3), (len(y), 3, 3))
     P, Q = 0.01 * np.eye(3), 1.69 * 0.01 * np.eye(3)

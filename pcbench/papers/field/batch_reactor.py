@@ -30,19 +30,21 @@ def rows() -> list[Claim]:
     """Return every claim on the batch reactor."""
     model, loop = ncs_reactor.nominal(ncs_reactor.Numbers()), network()
     modes = sorted(np.linalg.eigvals(model.A).real, reverse=True)
-    closed = np.sort_complex(np.linalg.eigvals(loop.A11))
+    loop_modes = np.sort_complex(np.linalg.eigvals(loop.A11))
     ranks = [np.linalg.matrix_rank(_observability(model.A, C)) for C in (model.C, model.C[:1], model.C[1:])]
     growth = float(np.linalg.norm(loop.A22, 2))
     gain = network_bounds.l2_gain(loop.A11, loop.A12, loop.A21)
     largest = network_bounds.round_robin_limit(loop, LONGEST)
     bounds = {
-        what: (bound(growth, gain, SHARE), bound(growth, np.sqrt(2) * gain, SHARE))
-        for what, bound in (("", network_bounds.interval_bound), ("older ", network_bounds.older_interval_bound))
+        prefix: (bound(growth, gain, SHARE), bound(growth, np.sqrt(2) * gain, SHARE))
+        for prefix, bound in (("", network_bounds.interval_bound), ("older ", network_bounds.older_interval_bound))
     }
     printed = "-17.659, -15.036, -2.2086 +1.7306i, -0.8221 +0.3812i"
     return [
         all_digits("eigenvalues of A [1/s]", "1.99096, 0.06351, -5.05657, -8.66589", modes, COMPUTED),
-        all_digits("eigenvalues of the loop without a network [1/s]", printed, closed[closed.imag >= 0], COMPUTED),
+        all_digits(
+            "eigenvalues of the loop without a network [1/s]", printed, loop_modes[loop_modes.imag >= 0], COMPUTED
+        ),
         all_digits("observable states from y, from y1, from y2", "4, 4, 4", ranks, COMPUTED),
         all_digits("diagonal of A22, e' = A21 x + A22 e [1/s]", "15.73, 11.358", np.diag(loop.A22), COMPUTED),
         all_digits("L, the norm of A22 [1/s]", "15.73", growth, COMPUTED),
@@ -68,11 +70,11 @@ def try_once_discard(loop: NetworkLoop) -> Claim:
         [network_bounds.try_once_discard_rate(loop, interval, seed) for seed in range(STARTS)]
         for interval in (0.088, 0.09)
     )
-    said = (
+    text = (
         f"growth per transmission up to {max(stable):.4f} at 0.088 s and {max(unstable):.4f} at 0.09 s, {STARTS} starts"
     )
     claim = "largest constant interval, try-once-discard [s]"
-    return statement(claim, "between 0.088 and 0.09", said, max(stable) < 0 < max(unstable))._replace(source=COMPUTED)
+    return statement(claim, "between 0.088 and 0.09", text, max(stable) < 0 < max(unstable))._replace(source=COMPUTED)
 
 
 def network() -> NetworkLoop:

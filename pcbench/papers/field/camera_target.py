@@ -28,12 +28,12 @@ def rows() -> list[Claim]:
         "options": {"scenario": {"random_initial_state": True}},
     }
     stats = api.run(study).stats
-    shown = stats[(stats.metric == "steady_tracking_rmse") & (stats.signal == "offset")]
-    error = shown.set_index("scenario")["mean"]
+    tracking_rows = stats[(stats.metric == "steady_tracking_rmse") & (stats.signal == "offset")]
+    error = tracking_rows.set_index("scenario")["mean"]
     usual, regular = (100 * (1 - error[f"following{kind}"] / error[f"servoing{kind}"]) for kind in ("", "-regular"))
-    found = (
+    text = (
         f"{usual:.0f} % in camera-target/following against camera-target/servoing, and {regular:.0f} % for a target with a "
         "tenth of the damping and of the noise power; camera, target and servo of the paper are not known"
     )
-    what = "reduction of the tracking error by a dual-rate filter with late data, against common visual servoing"
-    return [Claim(what, "95 %", found, OPEN, source="Xiao, Chen 2020 [S]")]
+    claim = "reduction of the tracking error by a dual-rate filter with late data, against common visual servoing"
+    return [Claim(claim, "95 %", text, OPEN, source="Xiao, Chen 2020 [S]")]

@@ -19,14 +19,14 @@ def rows() -> list[Claim]:
     """Return every claim on the coordinated turn."""
     runs = api.run("coordinated-turn", axes={"delay": [0.0]}).runs
     ukf = runs[runs.observer == "ukf"].set_index("signal").steady_mse
-    extended = runs[(runs.observer == "ekf") & (runs.signal == "position")]
-    kept = extended[extended.steady_max_abs_error <= LOST]
-    lost = f"lost: {len(extended) - len(kept)} of {len(extended)}"
+    ekf = runs[(runs.observer == "ekf") & (runs.signal == "position")]
+    ekf_within = ekf[ekf.steady_max_abs_error <= LOST]
+    ekf_lost = f"lost: {len(ekf) - len(ekf_within)} of {len(ekf)}"
     return [
         _root(ukf["position"], (19.3, 20.4), "ukf, cubature: position [m]"),
         _root(ukf["velocity"], (11.2,), "ukf, cubature: velocity [m/s]"),
         _root(ukf["turn_rate"] * np.degrees(1.0) ** 2, (1.33,), "ukf, cubature: turn rate [degrees/s]"),
-        _root(kept.steady_mse, (30.0,), f"ekf: position in the runs within {LOST:g} m [m]", lost),
+        _root(ekf_within.steady_mse, (30.0,), f"ekf: position in the runs within {LOST:g} m [m]", ekf_lost),
     ]
 
 
@@ -34,8 +34,8 @@ def _root(square: "pd.Series[float]", printed: tuple[float, ...], claim: str, mo
     """Compare the root of the mean square over runs and steps with the printed ones; `square` is of each run."""
     root = np.sqrt(square.mean())
     error = square.sem() / (2 * root)  # of the root
-    away = max(abs(root - each) for each in printed) / (np.sqrt(2) * error)
-    shown = "; ".join(filter(None, (f"{root:.3g} +- {error:.2g}, {away:.1f} standard errors off at most", more)))
+    away = max(abs(root - value) for value in printed) / (np.sqrt(2) * error)
+    summary = "; ".join(filter(None, (f"{root:.3g} +- {error:.2g}, {away:.1f} standard errors off at most", more)))
     steady = f"within {3 if away < 3 else away:.0f} standard errors"
-    text = ", ".join(f"{each:g}" for each in printed)
-    return Claim(claim, text, shown, REPRODUCED if away < 3 else FALSE, steady, COMPUTED)
+    text = ", ".join(f"{value:g}" for value in printed)
+    return Claim(claim, text, summary, REPRODUCED if away < 3 else FALSE, steady, COMPUTED)

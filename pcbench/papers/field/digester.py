@@ -34,22 +34,22 @@ SITUATIONS: dict[str, TomlTable] = {
 
 def rows() -> list[Claim]:
     """Return every claim on the digester; takes a minute."""
-    return [*_rest(), *_statements()]
+    return [*_equilibrium(), *_statements()]
 
 
-def _rest() -> list[Claim]:
+def _equilibrium() -> list[Claim]:
     n = digester.Numbers()
     x, feed = digester.operating_point("printed")
     q, _ = digester.outflow(n, x)
-    found = (
+    quantities = (
         ("gas flow", "L/d", "240.97", q),
         ("methane", "bar", "0.5954", digester.RT_CH4 * x[10]),
         ("carbon dioxide", "bar", "0.4224", digester.RT_CO2 * x[11]),
         ("biomass", "g/L", "0.4048", x[8]),
     )
     return [
-        digits(f"{what} at rest under {feed:.2f} L/d [{unit}]", printed, value)._replace(source=COMPUTED)
-        for what, unit, printed, value in found
+        digits(f"{quantity} at rest under {feed:.2f} L/d [{unit}]", printed, value)._replace(source=COMPUTED)
+        for quantity, unit, printed, value in quantities
     ]
 
 
@@ -68,21 +68,21 @@ def _statements() -> list[Claim]:
     usual, start, slower = error["usual"], error["right start"], error["slower"]
     none, longer, noise = error["no delay"], error["42 h"], error["twice the noise"]
     by_start, by_slower, by_noise = usual / start, slower / usual, noise / usual
-    said = f"ekf: {none:.1f} % without a delay, {usual:.1f} % at 21 h, {longer:.1f} % at 42 h"
-    more = f"factors: {by_start:.1f} by the wrong start, {by_slower:.2f} by slower rates, {by_noise:.2f} by twice the noise"
+    by_delay = f"ekf: {none:.1f} % without a delay, {usual:.1f} % at 21 h, {longer:.1f} % at 42 h"
+    by_cause = f"factors: {by_start:.1f} by the wrong start, {by_slower:.2f} by slower rates, {by_noise:.2f} by twice the noise"
     larger = f"factor {error['inflated'] / usual:.2f} by the program's larger R, less than by the start"
     tuned = f"{larger}; which tuning is meant is in the text"
     return [
         statement(
             "the length of the delay matters little",
             "while observability is kept",
-            said,
+            by_delay,
             max(usual, longer) < 1.05 * none,
         )._replace(source=ABSTRACT),
         statement(
             "wrong start and model mismatch matter more than noise",
             "they do",
-            more,
+            by_cause,
             min(by_start, by_slower) > by_noise,
         )._replace(source=ABSTRACT),
         Claim("tuning matters most", "it does", tuned, OPEN, source=ABSTRACT),

@@ -35,6 +35,6 @@ def rows() -> list[Claim]:
         near = bool(away.max() < 3)
         steady = "within 3 standard errors" if near else DRAWN
         verdict = REPRODUCED if near else OPEN
-        shown = f"{text}{'' if near else f', {DRAWN}'}, at most {away.max():.1f} standard errors off"
-        out.append(Claim(claim, ", ".join(f"{ft:g}" for ft in medians), shown, verdict, steady, COMPUTED))
+        summary = f"{text}{'' if near else f', {DRAWN}'}, at most {away.max():.1f} standard errors off"
+        out.append(Claim(claim, ", ".join(f"{ft:g}" for ft in medians), summary, verdict, steady, COMPUTED))
     return out

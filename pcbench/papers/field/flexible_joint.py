@@ -42,11 +42,11 @@ def rows() -> list[Claim]:
         rank = np.linalg.matrix_rank(np.vstack([model.C @ np.linalg.matrix_power(model.A, i) for i in range(4)]))
         out.append(all_digits(f"observable states from the motor angle, {where}", "4", rank, COMPUTED))
     slopes = np.stack([flexible_joint.nominal(flexible_joint.Numbers(gravity=g)).A for g in (-SLOPE, 0.0, SLOPE)])
-    for what, outputs, L, printed in INTERVALS:
+    for description, outputs, L, printed in INTERVALS:
         task = HeldTask(slopes[[0, 2]], np.eye(4)[:outputs], (0,) * outputs, (1.0,))
         largest, _ = held_lmi.largest_interval(task, L, LONGEST)
         out.append(
-            digits(f"largest certified interval, {what} [s]", printed, largest, failed=MISPRINT)._replace(
+            digits(f"largest certified interval, {description} [s]", printed, largest, mismatch=MISPRINT)._replace(
                 steady=f"{largest:.3f}"
                 + ("" if rounds_to(printed, largest) else ": the reference is cut off, not rounded"),
                 source=FUNCTIONAL,

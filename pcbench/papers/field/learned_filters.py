@@ -30,7 +30,7 @@ F = np.array([[1.0, 1.0], [0.0, 1.0]])  # of both linear cases
 WIDE, NARROW, SHARE = 1.25, 0.39528, 0.6  # standard deviations of the bimodal noise, and share of the wide one
 
 
-class Compared(NamedTuple):
+class PairedErrors(NamedTuple):
     """Mean square errors of runs, paired."""
 
     mean: float
@@ -130,7 +130,7 @@ def kalman(
     return jax.lax.scan(tick, start, (y, R))[1]
 
 
-def extended(system: System, y: Float[Array, "N q"], process: float | Array = 1.0) -> Float[Array, "N n"]:
+def ekf(system: System, y: Float[Array, "N q"], process: float | Array = 1.0) -> Float[Array, "N n"]:
     """Return the estimates with R = 1 and the process noise's standard deviation times `process`."""
     Q = process**2 * jnp.asarray(system.process @ system.process.T)
     return kalman(system, jnp.broadcast_to(jnp.eye(y.shape[1]), (len(y), y.shape[1], y.shape[1])), Q, y)
@@ -141,10 +141,10 @@ def square(estimate: Callable[[Array], Array], x: Array, y: Array) -> NDArray[np
     return np.asarray(jnp.mean((jax.jit(jax.vmap(estimate))(y) - x) ** 2, (1, 2)))
 
 
-def compare(each: NDArray[np.float64], other: NDArray[np.float64]) -> Compared:
+def compare(errors: NDArray[np.float64], reference: NDArray[np.float64]) -> PairedErrors:
     """Return the paired comparison of errors of the same runs."""
-    d = each - other
-    return Compared(float(each.mean()), float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d))))
+    d = errors - reference
+    return PairedErrors(float(errors.mean()), float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d))))
 
 
 def runs_of(system: System, seed: int, runs: int) -> tuple[Array, Array]:
@@ -168,13 +168,13 @@ def _linear() -> Iterator[Claim]:
         P = P - P @ np.linalg.solve(P + np.eye(2), P)
         floor.append(np.trace(P) / 2)
         P = F @ P @ F.T + np.eye(2)
-    found = _db(float(np.mean(floor)))
-    verdict = REPRODUCED if round(found, 3) == FLOOR else FALSE
+    floor_db = _db(float(np.mean(floor)))
+    verdict = REPRODUCED if round(floor_db, 3) == FLOOR else FALSE
     yield Claim(
-        "kf: mean square error of the linear case [dB]", f"{FLOOR}", f"{found:.4f}", verdict, "", f"{KALMANNET} [V]"
+        "kf: mean square error of the linear case [dB]", f"{FLOOR}", f"{floor_db:.4f}", verdict, "", f"{KALMANNET} [V]"
     )
     x, y = runs_of(system, 1, RUNS)
-    c = compare(square(partial(estimates, system, train(system)), x, y), square(partial(extended, system), x, y))
+    c = compare(square(partial(estimates, system, train(system)), x, y), square(partial(ekf, system), x, y))
     verdict = REPRODUCED if c.difference > -1.96 * c.se else FALSE
     share = 100 * c.difference / (c.mean - c.difference)
     text = f"{share:.2g} % above kf, {c.difference / c.se:.1f} standard errors of {RUNS} pairs"
@@ -182,20 +182,20 @@ def _linear() -> Iterator[Claim]:
 
 
 def _lorenz() -> Iterator[Claim]:
-    yield _against_extended(lorenz(5), "accurate model")
-    yield _against_extended(lorenz(2), "poor model, 2 terms")
+    yield _compare_with_ekf(lorenz(5), "accurate model")
+    yield _compare_with_ekf(lorenz(2), "poor model, 2 terms")
 
 
-def _against_extended(system: System, model: str) -> Claim:
+def _compare_with_ekf(system: System, model: str) -> Claim:
     """Return the comparison with the extended filter, with the given Q and with the Q that is best on other runs."""
     x, y = runs_of(system, 1, RUNS)
-    mine = square(partial(estimates, system, train(system)), x, y)
-    given = compare(mine, square(partial(extended, system), x, y))
-    others, measured = runs_of(system, 2, RUNS)
-    found = jax.jit(jax.vmap(lambda factor, y: extended(system, y, factor), (None, 0)))
-    best = min(TUNED, key=lambda factor: float(jnp.mean((found(factor, measured) - others) ** 2)))
-    tuned = compare(mine, np.asarray(jnp.mean((found(best, y) - x) ** 2, (1, 2))))
-    text = f"{_percent(given)} against the given Q, {_percent(tuned)} against a tuned one ({best:.2g} times its root)"
+    learned = square(partial(estimates, system, train(system)), x, y)
+    nominal_q = compare(learned, square(partial(ekf, system), x, y))
+    tuning_x, tuning_y = runs_of(system, 2, RUNS)
+    estimates_of = jax.jit(jax.vmap(lambda factor, y: ekf(system, y, factor), (None, 0)))
+    best = min(TUNED, key=lambda factor: float(jnp.mean((estimates_of(factor, tuning_y) - tuning_x) ** 2)))
+    tuned_q = compare(learned, np.asarray(jnp.mean((estimates_of(best, y) - x) ** 2, (1, 2))))
+    text = f"{_percent(nominal_q)} against the given Q, {_percent(tuned_q)} against a tuned one ({best:.2g} times its root)"
     return Claim(
         claim=f"better than the extended filter on the Lorenz system, {model}",
         printed="outperforms with mismatched and accurate models",
@@ -206,7 +206,7 @@ def _against_extended(system: System, model: str) -> Claim:
     )
 
 
-def _percent(c: Compared) -> str:
+def _percent(c: PairedErrors) -> str:
     other = c.mean - c.difference
     return f"{100 * c.difference / other:+.1f} +- {196 * c.se / other:.1f} %"
 
@@ -216,20 +216,20 @@ def _bimodal() -> Iterator[Claim]:
     keys = jax.random.split(jax.random.key(1), 20_000)
     x, y = jax.vmap(partial(draw, system))(keys)
     std = jax.vmap(lambda key: standard_deviations(jax.random.split(key, 3)[2], system.ticks))(keys)
-    informed = jax.jit(jax.vmap(lambda y, std: kalman(system, (std**2)[..., None], Q, y)))(y, std)
-    known = float(jnp.mean((informed - x) ** 2))
-    wrong = square(partial(extended, system), x, y)
-    mine = square(partial(estimates, system, train(system, LONG)), x, y)
-    c = compare(mine, wrong)
-    near = abs(known / KNOWN_FLOOR - 1) < 0.01
-    floor = f"{known:.5f} ({_db(known):.2f} dB) of {len(keys):,} runs"
+    estimates_known_std = jax.jit(jax.vmap(lambda y, std: kalman(system, (std**2)[..., None], Q, y)))(y, std)
+    floor_mse = float(jnp.mean((estimates_known_std - x) ** 2))
+    wrong = square(partial(ekf, system), x, y)
+    learned = square(partial(estimates, system, train(system, LONG)), x, y)
+    c = compare(learned, wrong)
+    near = abs(floor_mse / KNOWN_FLOOR - 1) < 0.01
+    floor = f"{floor_mse:.5f} ({_db(floor_mse):.2f} dB) of {len(keys):,} runs"
     claim = "bimodal noise: mean square error of the filter with each variance"
-    steady = "within 1 %" if near else f"{known:.3f}"
+    steady = "within 1 %" if near else f"{floor_mse:.3f}"
     yield Claim(claim, f"{KNOWN_FLOOR}", floor, REPRODUCED if near else FALSE, steady, f"{RECURSIVE} [V]")
     text = f"{wrong.mean():.4f} ({_db(wrong.mean()):.2f} dB) over {len(keys):,} runs"
     yield Claim("learned filter: bimodal noise: mean square error of the filter with variance 1", OURS, text, FINDING)
     text = f"mean square error {c.mean:.4f}, {_percent(c)} against the filter with variance 1"
-    between = known < c.mean and c.difference < -1.96 * c.se
+    between = floor_mse < c.mean and c.difference < -1.96 * c.se
     steady = "between that filter and the one with each variance"
     claim = "better than the Kalman filter under bimodal noise"
     yield Claim(claim, "outperforms", text, REPRODUCED if between else FALSE, steady, f"{RECURSIVE} [S]")

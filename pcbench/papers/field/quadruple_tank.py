@@ -26,20 +26,22 @@ GAINS = {"P-": "2.61, 1.50, 1.41, 2.84", "P+": "1.52, 2.45, 2.56, 1.60"}
 
 def rows() -> list[Claim]:
     """Return every claim on the quadruple tank."""
-    reading = "The printed levels give the printed T2 and T4, the equilibrium gives T1, T3 and T4."
-    finding = report_finding("quadruple tank, P-: no one reading gives all four printed time constants", reading)
+    explanation = "The printed levels give the printed T2 and T4, the equilibrium gives T1, T3 and T4."
+    finding = report_finding("quadruple tank, P-: no one reading gives all four printed time constants", explanation)
     return [*(row for point in LEVELS for row in _rows(point)), finding]
 
 
 def _rows(point: str) -> Iterator[Claim]:
     n, printed = CONSTANTS[point], np.array(LEVELS[point])
     exact = POINTS[point].level
-    at_print, at_rest = time_constants(n, printed), time_constants(n, exact)
+    T_printed, T_equilibrium = time_constants(n, printed), time_constants(n, exact)
     for i, text in enumerate(TIMES[point]):
         claim = f"{point}: T{i + 1} at the printed levels [s]"
-        row = all_digits(claim, text, at_print[i], SEEN)
-        if not rounds_to(text, at_print[i]) and rounds_to(text, at_rest[i]):
-            row = row._replace(reproduced=f"{row.reproduced}; {at_rest[i]:.1f} at the equilibrium", verdict=MISPRINT)
+        row = all_digits(claim, text, T_printed[i], SEEN)
+        if not rounds_to(text, T_printed[i]) and rounds_to(text, T_equilibrium[i]):
+            row = row._replace(
+                reproduced=f"{row.reproduced}; {T_equilibrium[i]:.1f} at the equilibrium", verdict=MISPRINT
+            )
         yield row
     yield all_digits(f"{point}: equilibrium of the printed constants [cm]", EQUILIBRIA[point], exact, COMPUTED)
     model = linearize(n, printed)
@@ -49,13 +51,13 @@ def _rows(point: str) -> Iterator[Claim]:
     yield all_digits(f"{point}: relative gain of pump 1 and level 1", RELATIVE[point], relative, COMPUTED)
     yield all_digits(f"{point}: gains of (y1, y2) to (v1, v2)", GAINS[point], G, COMPUTED)
     text = ", ".join(f"{a:g} and {b:.3f}" for a, b in zip(printed, exact, strict=True))
-    what = f"quadruple tank, {point}: the printed levels are no equilibrium of the printed constants"
-    yield report_finding(what, f"printed and exact levels in cm: {text}")
+    claim_levels = f"quadruple tank, {point}: the printed levels are no equilibrium of the printed constants"
+    yield report_finding(claim_levels, f"printed and exact levels in cm: {text}")
 
 
 def zeros(model: Model) -> np.ndarray:
     """Return the finite transmission zeros of a model without D, the least first."""
     n, m = model.B.shape
-    left = np.block([[model.A, model.B], [model.C, np.zeros((len(model.C), m))]])
-    found = eigvals(left, np.diag([1.0] * n + [0.0] * m))
-    return np.sort(found[np.isfinite(found) & (np.abs(found) < 1e6)].real)
+    pencil = np.block([[model.A, model.B], [model.C, np.zeros((len(model.C), m))]])
+    eigenvalues = eigvals(pencil, np.diag([1.0] * n + [0.0] * m))
+    return np.sort(eigenvalues[np.isfinite(eigenvalues) & (np.abs(eigenvalues) < 1e6)].real)

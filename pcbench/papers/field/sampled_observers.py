@@ -49,7 +49,7 @@ def rows() -> list[Claim]:
         all_digits("send on delta, d = 1: mean variance", "0.1667", trigger.variance, SOURCES["event"]),
         report_finding(
             "observers: largest theta T of the high gain, n = 3 and 4",
-            "; ".join(f"{form} {', '.join(f'{limit:.5f}' for limit in each[1:])}" for form, each in limits.items()),
+            "; ".join(f"{form} {', '.join(f'{limit:.5f}' for limit in values[1:])}" for form, values in limits.items()),
         ),
     ]
 
@@ -71,6 +71,6 @@ def widths(poles: tuple[float, float]) -> Matrix:
     """Return the final widths of the interval observer of a double integrator, h = 0.5, |w| <= 0.2, |v| <= 0.05."""
     Phi, b, C = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[0.125], [0.5]]), np.eye(2)[:1]
     L = interval_observer.gain(Phi, C, max(poles), [*poles], "interval")
-    found, _ = interval_observer.certify(Phi, C, L, "interval")
-    noise = interval_observer.accumulate_noise(Phi, 0.2 * b, found.back, 1)[1]
-    return interval_observer.final_width(found, Phi, C, noise, np.array([0.05]))
+    gains, _ = interval_observer.certify(Phi, C, L, "interval")
+    noise = interval_observer.accumulate_noise(Phi, 0.2 * b, gains.back, 1)[1]
+    return interval_observer.final_width(gains, Phi, C, noise, np.array([0.05]))
