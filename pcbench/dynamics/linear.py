@@ -227,6 +227,6 @@ def with_input_bias(model: Model) -> Model:
     A[:n, :n], A[:n, n:] = model.A, model.B
     if model.discrete:
         A[n:, n:] = np.eye(m)
-    wider = np.vstack([model.B, np.zeros((m, m))])
+    B_joint = np.vstack([model.B, np.zeros((m, m))])
     E = None if model.E is None else np.vstack([model.E, np.zeros((m, model.E.shape[1]))])
-    return model._replace(A=A, B=wider, C=np.hstack([model.C, model.feedthrough]), E=E)
+    return model._replace(A=A, B=B_joint, C=np.hstack([model.C, model.feedthrough]), E=E)

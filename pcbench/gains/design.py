@@ -43,12 +43,12 @@ def design(
     label = label_of(observer)
     if gain is not None:
         entry = cell.entry(label)
-        if not (way := _way_of(entry)):
+        if not (option_name := _way_of(entry)):
             raise UserError(f"--gain: got '{gain}', but {label} has one design method; leave it out.")
-        valid = get_args(entry.options.model_fields[way].annotation)
+        valid = get_args(entry.options.model_fields[option_name].annotation)
         if gain not in valid:
             raise unknown("--gain", f"design method of {label}", gain, valid)
-        study, cell = one_cell(replace_options(study, label, {way: gain}), [label], [])
+        study, cell = one_cell(replace_options(study, label, {option_name: gain}), [label], [])
     return study, cell, run_design(label, cell.entry(label), setting(slowed(cell, label)), cell.options[label])
 
 
@@ -166,8 +166,8 @@ def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> T
 
 def _recertify(study: Study, cell: Cell, observer: str, options: TomlTable) -> TomlTable | None:
     """Return the options with the largest decay that can be certified for these numbers; None if they are refused."""
-    slower = [options | {"decay": BACK * options["decay"]}] if options.get("decay") else []
-    for candidate in (*slower, {k: v for k, v in options.items() if k != "decay" or not v}):
+    slow_candidates = [options | {"decay": BACK * options["decay"]}] if options.get("decay") else []
+    for candidate in (*slow_candidates, {k: v for k, v in options.items() if k != "decay" or not v}):
         try:
             explicit = replace_options(study.model_copy(update={"options": {}}), observer, candidate)
             context = setting(slowed(cell, observer))

@@ -73,7 +73,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         design_options = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
-        return ExplicitStudy(_with(study, {o: how for o, how in design_options.items() if how}), [])
+        return ExplicitStudy(_with(study, {o: values for o, values in design_options.items() if values}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
@@ -94,12 +94,12 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
         all_points = itertools.islice(all_points, 1) if study.tune.cells == "first" else all_points
         points = [dict(zip(study.axes, point, strict=True)) for point in all_points]
     for i, point in enumerate(points):
-        here = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if tunes else study
+        point_study = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if tunes else study
         folder = None if out is None else f"{out}/tuning"
         if len(points) > 1:
-            folder = folder and f"{folder}/{cells(here, scenario.name)[0].digest}"
+            folder = folder and f"{folder}/{cells(point_study, scenario.name)[0].digest}"
             progress.note(f"tuning in cell {i + 1} of {len(points)}")
-        gains.append(_gains_in(here, published_options, aim, folder, progress))
+        gains.append(_gains_in(point_study, published_options, aim, folder, progress))
     versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
     if len(study.tunings) == 1:  # labels need no suffix
         gains = [cell_gains.relabel({v.label: v.observer for v in versions}) for cell_gains in gains]
@@ -148,11 +148,14 @@ def _gains_in(
     """Return the gains of all versions in a study of one cell; tunings are stored in `folder`."""
     gains = _Gains([], {}, {})
     for observer, paper in published_options.items():
-        ways: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
-        for tuning, more in ways.items():
-            if more is not None:
+        option_sources: dict[str, Mapping[str, Any] | None] = {
+            "published": {},
+            "design": entry_in(study, observer).designed,
+        }
+        for tuning, extra in option_sources.items():
+            if extra is not None:
                 gains.versions.append(Version(f"{observer}-{tuning}", observer, tuning))
-                gains.options[f"{observer}-{tuning}"] = paper | dict(more)
+                gains.options[f"{observer}-{tuning}"] = paper | dict(extra)
     if "tuned" in study.tunings:
         for observer, start in _better(study, gains.versions, gains.options, aim, progress).items():
             note, tuned_options = _tune_observer(study, observer, start, folder, progress)
@@ -176,8 +179,8 @@ def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
                 cell_gains.options[label] = cell_gains.options[f"{version.observer}-published"]
             notes.append(label_notes[0] if label_notes else "nothing to tune, so gains as printed")
         at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
-        several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
-        out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else several))
+        text = "; ".join(f"at {place}: {note}" for place, note in zip(at, notes, strict=True) if note)
+        out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else text))
     return out
 
 
@@ -252,11 +255,11 @@ def _better(study: Study, versions: list[Version], options: Options, aim: Object
 def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
     """Return whether a version has free parameters that affect its gains."""
     observer = version.observer
-    only = validation.only(study, observer)
+    only = validation.tune_only(study, observer)
     if not parameters.tunable(entry_in(study, observer)) or only == []:
         return False
-    here = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
-    cell = one_cell(here, [observer], [])[1]
+    trial_study = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
+    cell = one_cell(trial_study, [observer], [])[1]
     entry, cell_options = cell.entry(observer), cell.options[observer]
     context = planning.setting(planning.slowed(cell, observer))
     design = planning.run_design(observer, entry, context, cell_options)
@@ -270,24 +273,24 @@ def _tune_observer(
     study: Study, observer: str, start: TomlTable, folder: str | None, progress: Progress
 ) -> tuple[str, TomlTable]:
     """Return the reason why the start is kept (empty: it is not), and the tuned options."""
-    how = study.tune
+    settings = study.tune
     seeds: TomlTable = {"training_seeds": _training(study), "validation_seeds": VALIDATION}
     changes = {"options": study.options | {observer: start}, "tuning": "published", "observers": [observer]}
     try:
         result = tune.tune(
             study.model_copy(update=changes | {"seeds": 1, "first_seed": 0}),
             observer,
-            budget=how.budget,
-            objective=how.objective,
-            signal=how.signal,
-            exact_objective=how.exact_objective,
-            only=validation.only(study, observer),
+            budget=settings.budget,
+            objective=settings.objective,
+            signal=settings.signal,
+            exact_objective=settings.exact_objective,
+            only=validation.tune_only(study, observer),
             out=folder and f"{folder}/{observer}",
             progress=Progress(
                 begin=lambda what, many: progress.note(f"tuning {observer}"),
                 note=lambda text: progress.note(f"tuning {observer}: {text}"),
             ),
-            **({} if how.exact_objective else seeds),
+            **({} if settings.exact_objective else seeds),
         )
     except tune.NoStart:
         return "the start has no finite value on the training runs", {}

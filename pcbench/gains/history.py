@@ -167,8 +167,8 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
             return None
         judgements = []
         for row in record.pop("judged"):
-            first, many, (start, tuned) = row.pop("first"), row.pop("seeds"), row.pop("diverged")
-            judgements.append(Judgement(seeds=seed_range(first, many), diverged=(start, tuned), **row))
+            first, count, (start, tuned) = row.pop("first"), row.pop("seeds"), row.pop("diverged")
+            judgements.append(Judgement(seeds=seed_range(first, count), diverged=(start, tuned), **row))
         return record | {"study": study, "judged": judgements, "points": _read_points(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # missing or damaged: the tuning continues from its history, and writes the result again

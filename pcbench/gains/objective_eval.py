@@ -70,7 +70,7 @@ def method_for(optimizer: str | None, aim: Objective, p: Plan, exact: bool, wher
 
 
 def evaluator(
-    how: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Gains]
+    method: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Gains]
 ) -> Evaluate:
     """Return a function that evaluates a point; it returns infinity if the gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers
@@ -83,15 +83,15 @@ def evaluator(
         return aim.of(mean), aim.slope(mean) * optimizers.chain(slopes, design, at)
 
     def value_only(at: Vector) -> tuple[float, Vector]:
-        here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
+        trial = p._replace(problem=p.problem._replace(gains={label: design(at)}))
         (metrics,) = run_local.results(
-            here, runner.run(p.layout, list(run_local.jobs(here, root_seed, seeds)))
+            trial, runner.run(p.layout, list(run_local.jobs(trial, root_seed, seeds)))
         ).values()
         return aim.over(metrics[aim.base][aim.signal], metrics["diverged"]), np.zeros(0)
 
     def at(point: Vector) -> tuple[float, Vector]:
         try:
-            return with_slope(point) if how == "descent" else value_only(point)
+            return with_slope(point) if method == "descent" else value_only(point)
         except DigitsError:  # independent of the gains in an open loop, because of them in a closed one
             if p.layout.controller is None:
                 raise

@@ -69,10 +69,10 @@ def descent(ask: Ask, start: Vector, budget: int) -> None:
 def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None:
     """Evaluate at most `budget` points by the Nelder-Mead simplex."""
     corners = np.vstack([start, start + SPREAD * np.eye(len(start))])
-    how = {"initial_simplex": corners, "maxfev": budget, "xatol": 1e-4, "fatol": 0.0, "adaptive": len(start) > 3}
+    options = {"initial_simplex": corners, "maxfev": budget, "xatol": 1e-4, "fatol": 0.0, "adaptive": len(start) > 3}
     from scipy.optimize import minimize
 
-    minimize(value, start, method="Nelder-Mead", options=how)  # type: ignore[call-overload]
+    minimize(value, start, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
 
 
 LANES = 128  # runs per call; one call per core at a time

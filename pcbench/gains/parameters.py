@@ -45,8 +45,8 @@ class Free(NamedTuple):
     @property
     def size(self) -> int:
         """Return its number of entries in the vector."""
-        many = int(np.prod(self.shape))
-        return (many + self.shape[0]) // 2 if self.kind == "covariance" else many
+        count = int(np.prod(self.shape))
+        return (count + self.shape[0]) // 2 if self.kind == "covariance" else count
 
 
 def tunable(entry: ObserverSpec) -> list[str]:
@@ -70,7 +70,7 @@ def start(
     """
     tunable_names, free, values = tunable(entry), list[Free](), list[Vector]()
 
-    def holds(parameter: Free, at: Vector) -> bool:
+    def accepts(parameter: Free, at: Vector) -> bool:
         """Return whether the option accepts such a value, for example a list with one entry per output."""
         try:
             put(options, [parameter._replace(first=0)], at)
@@ -87,9 +87,9 @@ def start(
         value = numbers.get(name) if value is None or isinstance(value, str) else value
         if value is not None:
             parameter, at = _free(entry, name, value, sum(f.size for f in free))
-            if not parameter.shape and not holds(parameter, at):  # the option needs a list, here of one entry
+            if not parameter.shape and not accepts(parameter, at):  # the option needs a list, here of one entry
                 parameter = parameter._replace(shape=(1,))
-            if holds(parameter, at):
+            if accepts(parameter, at):
                 free.append(parameter)
                 values.append(at)
                 continue
@@ -105,7 +105,7 @@ def start(
 def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Free, Vector]:
     """Return one parameter with the bounds of its option's declaration, and its unbounded numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
-    bounds, edges = [*field.metadata, *_inside(field.annotation)], extra(field)[TUNABLE]
+    bounds, edges = [*field.metadata, *_declarations_of(field.annotation)], extra(field)[TUNABLE]
     positive = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
     kind = "between" if edges else "positive" if positive else "real"
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
@@ -173,13 +173,13 @@ def _to_unbounded(value: Vector, f: Free) -> Vector:
         i, j = np.tril_indices(len(L))
         return np.where(i == j, np.log(np.diag(L))[i], (L / np.diag(L)[:, None])[i, j])
     if f.kind == "between":
-        inside = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
-        return np.asarray(np.log(inside / (1 - inside)))
+        share = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
+        return np.asarray(np.log(share / (1 - share)))
     return np.asarray(value / f.scale)
 
 
-def _inside(annotation: object) -> list[object]:
+def _declarations_of(annotation: object) -> list[object]:
     """Return the declarations of all types that an option's value, or an entry of it, may have."""
     metadata = getattr(annotation, "__metadata__", ())
     declarations = [m for entry in metadata for m in (entry.metadata if isinstance(entry, FieldInfo) else [entry])]
-    return declarations + [m for kind in get_args(annotation) for m in _inside(kind)]
+    return declarations + [m for kind in get_args(annotation) for m in _declarations_of(kind)]

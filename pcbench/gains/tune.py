@@ -18,7 +18,7 @@ from pcbench.gains.design import BACK, replace_options
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
-from pcbench.gains.validation import against, judge
+from pcbench.gains.validation import judge, rejection_reason
 from pcbench.observers import ObserverSpec
 from pcbench.planning import padding
 from pcbench.protocols import Gains, Leaf
@@ -114,16 +114,16 @@ def tune(
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         objective_eval.check_estimates(p, aim, where)
-        how = objective_eval.method_for(optimizer, aim, p, exact_objective, where)
+        optimizer_name = objective_eval.method_for(optimizer, aim, p, exact_objective, where)
         if exact_objective:
             realisation = objective_eval.exact_cell(aim, p, where)
             evaluate = objective_eval.exact_evaluator(p, realisation, aim, len(start), design, where)
         else:
-            evaluate = objective_eval.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
+            evaluate = objective_eval.evaluator(optimizer_name, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(target, about, parameters.entries(free), basis)
         progress.begin("points", budget)
         progress.note("compiling")
-        descend(how, trials, start, evaluate, budget, where, progress)
+        descend(optimizer_name, trials, start, evaluate, budget, where, progress)
         tuned_options = parameters.written(free, np.array(trials.best.at))
         if exact_objective:
             judgements, kept_start = (
@@ -133,7 +133,7 @@ def tune(
         else:
             progress.note("validation on other seeds")
             judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})
-            kept_start = against(judgements)
+            kept_start = rejection_reason(judgements)
         final_options = parameters.put(options, free, start if kept_start else np.array(trials.best.at))
         tuned = Tuning(
             study=with_options(study, observer, {} if kept_start else tuned_options),
@@ -142,7 +142,7 @@ def tune(
             kept_start=kept_start,
             judged=judgements,
             points=trials.points,
-            method=how,
+            method=optimizer_name,
             objective=aim,
             certified=is_certified(planning.run_design(observer, entry, context, final_options).certificate._asdict()),
             exact=exact_objective,
@@ -165,9 +165,9 @@ def free_parameters(
     numbers = design.certificate.numbers
     free, at = parameters.start(observer, entry, options, numbers, only, where)
 
-    def gains(there: Vector) -> list[Leaf]:
+    def gains(point: Vector) -> list[Leaf]:
         return optimizers.numbers(
-            planning.run_design(observer, entry, context, parameters.put(options, free, there)).gains
+            planning.run_design(observer, entry, context, parameters.put(options, free, point)).gains
         )
 
     sensitive = parameters.sensitive_names(free, at, gains)
@@ -181,7 +181,7 @@ def free_parameters(
 
 
 def descend(
-    how: str,
+    optimizer: str,
     trials: History,
     start: Vector,
     evaluate: objective_eval.Evaluate,
@@ -204,7 +204,7 @@ def descend(
         return value, slope
 
     storage.make(trials.target)
-    if how == "descent":
+    if optimizer == "descent":
         optimizers.descent(ask, start, budget)
     else:
         optimizers.search(lambda at: ask(at)[0], start, budget)

@@ -51,7 +51,7 @@ def judge(
     return out
 
 
-def against(judgements: list[Judgement]) -> str:
+def rejection_reason(judgements: list[Judgement]) -> str:
     """Return why the tuned gains are rejected (worse than the start on the validation runs); empty if they are not."""
     (j,) = (judgement for judgement in judgements if judgement.what == "validation")
     if j.diverged[1] > j.diverged[0]:
@@ -65,7 +65,7 @@ def against(judgements: list[Judgement]) -> str:
     return ""
 
 
-def only(study: Study, observer: str) -> list[str] | None:
+def tune_only(study: Study, observer: str) -> list[str] | None:
     """Return the options of an observer that are tuned; None: all tunable ones."""
     tunable = parameters.tunable(entry_in(study, observer))
     return None if study.tune.only is None else [name for name in study.tune.only if name in tunable]

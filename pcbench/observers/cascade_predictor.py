@@ -107,12 +107,12 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     past = write(memory.past, k, memory.x, jnp.asarray(True))
     links, y, reference = [], memory.y, memory.y
     for j in range(count):
-        old = read(past, k - gains.d[j])[j]
-        x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (reference - C @ old)
+        previous = read(past, k - gains.d[j])[j]
+        x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (reference - C @ previous)
         links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
         reference = C @ memory.x[j]
         if j == 0:
-            change = C @ (next_state(gains, now, old, gains.delay) - old)
+            change = C @ (next_state(gains, now, previous, gains.delay) - previous)
             y = jnp.where(k >= gains.delay, y + change, y)
     return Memory(jnp.stack(links), y, past, k + 1)
 

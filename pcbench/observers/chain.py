@@ -31,7 +31,7 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import sample_rate
 from pcbench.observers.parts.common import known_input
-from pcbench.observers.parts.options import StrictOptions, tunable, way
+from pcbench.observers.parts.options import StrictOptions, method_option, tunable
 from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain
@@ -75,7 +75,7 @@ class Memory(NamedTuple):
 class Options(StrictOptions):
     """Design of the links' gains and outputs."""
 
-    gain: Literal["poles", "companion", "riccati"] = way(
+    gain: Literal["poles", "companion", "riccati"] = method_option(
         "poles",
         description="gain of each link: pole placement, the companion form of the source, or a Riccati equation",
     )
@@ -129,9 +129,9 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
-    sample, new = memory.run.sample - age, age == gains.tau[j]
-    has_arrived = jnp.where(new, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
-    return jnp.where(has_arrived, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
+    sample, is_newest = memory.run.sample - age, age == gains.tau[j]
+    has_arrived = jnp.where(is_newest, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
+    return jnp.where(has_arrived, jnp.where(is_newest, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:

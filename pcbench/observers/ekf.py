@@ -78,7 +78,7 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
         z, P, rejections = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
         return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
     value, rejections, R = value_of(gains, sample.value), [], sample.variances(gains.R)
-    n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
+    n, zeros = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
@@ -86,17 +86,17 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
         is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
         K = kalman.gain(Pc, c @ Pc[:n] + r, is_used)
         z = z + K * nu
-        P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
+        P = kalman.covariance(P, K, jnp.concatenate([c, zeros]), r)
         rejections.append(out)
     return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
 
 
-def by_slope(gains: Gains, there: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
+def by_slope(gains: Gains, sample_now: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
     """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
     z = prior = before.mean
     P, rejections, R = before.P, [], sample.variances(gains.R)
-    y, C = linearize_sensor(gains, there, z[: gains.P0.shape[0]])
-    C, value = kalman.wide(C, z.shape[0]), nearest(gains, sample.value, y)
+    y, C = linearize_sensor(gains, sample_now, z[: gains.P0.shape[0]])
+    C, value = kalman.pad_columns(C, z.shape[0]), nearest(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], R[channel]
         Pc = P @ c

@@ -35,7 +35,7 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.common import no_snapshot
-from pcbench.observers.parts.unknown_delay import Gains, predict_linear, read, spread
+from pcbench.observers.parts.unknown_delay import Gains, predict_linear, signals_of, spread
 from pcbench.protocols import Arrival, Leaf, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
@@ -86,14 +86,14 @@ def predict_sample(gains: Gains, now: Now, x: Array, base: Array, first: Array) 
     """Return predictions from the state at tick `base`: at ticks `first` and `first` + 1, and at the present."""
 
     def tick(k: Array, c: SamplePrediction) -> SamplePrediction:
-        here = c.x, c.F
-        before = tuple(jnp.where(k == first, a, b) for a, b in zip(here, c.before, strict=True))
+        state = c.x, c.F
+        before = tuple(jnp.where(k == first, a, b) for a, b in zip(state, c.before, strict=True))
         x, F = gains.Phi @ c.x + gains.Gamma @ now.past_u(now.tick - k), gains.Phi @ c.F
         after = tuple(jnp.where(k == first, a, b) for a, b in zip((x, F), c.after, strict=True))
         return SamplePrediction(x, F, before, after)  # type: ignore[arg-type]
 
-    here = x, jnp.eye(x.shape[0])
-    return lax.fori_loop(base, now.tick, tick, SamplePrediction(*here, here, here))
+    state = x, jnp.eye(x.shape[0])
+    return lax.fori_loop(base, now.tick, tick, SamplePrediction(*state, state, state))
 
 
 def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -127,7 +127,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
     """Return the present xhat, and the delay if it is the plant's unknown."""
-    return read(gains, memory.xhat, memory.z[-1])
+    return signals_of(gains, memory.xhat, memory.z[-1])
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:

@@ -37,10 +37,10 @@ def tick(gains: Gains, now: Now, state: State) -> State:
 
 
 def update_about(
-    gains: Gains, now: Now, state: State, sample: Measurement, about: Array
+    gains: Gains, now: Now, state: State, sample: Measurement, z_lin: Array
 ) -> tuple[Array, Array, InnovationStats]:
-    """Return mean, covariance and innovation statistics after a sample, with the sensor linearised at `about`."""
-    return kalman.by_slope(gains, state.mean, state.P, Linear(*linearize_output(gains, now, about), about), sample)
+    """Return mean, covariance and innovation statistics after a sample, with the sensor linearised at `z_lin`."""
+    return kalman.by_slope(gains, state.mean, state.P, Linear(*linearize_output(gains, now, z_lin), z_lin), sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
@@ -56,7 +56,7 @@ def innovation_at_mean(gains: Gains, now: Now, state: State, sample: Measurement
     return update_about(gains, now, state, sample, state.mean)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_at_mean))
+OBSERVER = repropagation.observer(repropagation.FilterFunctions(tick, update, innovation_at_mean))
 
 
 def design(context: DesignContext, options: Options) -> Design:

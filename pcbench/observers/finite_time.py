@@ -85,8 +85,8 @@ def correct(gains: Gains, before: Pair, sample: Measurement) -> Pair:
     innovation = (sample.value - gains.C @ sample.snapshot)[:, None] - gains.C @ z
     innovation = jnp.where(sample.mask[:, None], innovation, 0.0)
     z = z + jnp.stack([gains.L[i] @ innovation[:, i] for i in range(2)], axis=1)
-    old = before.past[-1]
-    combination = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (old[:, 0] - old[:, 1])
+    oldest = before.past[-1]
+    combination = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (oldest[:, 0] - oldest[:, 1])
     free = jnp.where(before.used >= before.past.shape[0], combination, z[:, 0])
     past = jnp.concatenate([z[None], before.past[:-1]])
     return select_memory(sample.mask, Pair(z, free, sample.taken, past, before.used + 1), before)

@@ -16,7 +16,7 @@ from pcbench.observers.parts import linear_filter, stochastic_cloning
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
-OBSERVER = stochastic_cloning.observer(lambda h, s, near: h / s)._replace(innovation=stochastic_cloning.innovation)
+OBSERVER = stochastic_cloning.observer(lambda h, s, pair_mask: h / s)._replace(innovation=stochastic_cloning.innovation)
 
 
 def design(context: DesignContext, options: Options) -> Design:

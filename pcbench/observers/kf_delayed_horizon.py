@@ -83,8 +83,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
     """Return the memory after an update by a sample, predicted to `tick`."""
     posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
-    there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
-    return memory._replace(posterior=posterior, xhat=memory.g + there)
+    free = prediction.at(gains.motion, linear_filter.point(posterior), tick)
+    return memory._replace(posterior=posterior, xhat=memory.g + free)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:

@@ -61,8 +61,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         value = jnp.where(silent, memory.received, arrival.value)
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
     after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
-    some = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
-    return Memory(jax.tree.map(lambda a, b: jnp.where(some, a, b), after, memory.kf), last_value)
+    has_sample = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
+    return Memory(jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), after, memory.kf), last_value)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:

@@ -24,9 +24,9 @@ from pcbench.synthesis.certificate import Design, DesignContext
 Options = linear_filter.Options
 
 
-def local(h: Array, s: Array, near: Array) -> Array:
+def local(h: Array, s: Array, pair_mask: Array) -> Array:
     """Return the gain of the present state and of the sample's own copy; channels sampled together are one measurement."""
-    return jnp.where(near, h / s, 0.0)
+    return jnp.where(pair_mask, h / s, 0.0)
 
 
 OBSERVER = stochastic_cloning.observer(local)

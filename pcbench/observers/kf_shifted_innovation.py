@@ -37,7 +37,9 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return the innovation statistics of the arriving sample, relative to the shifted present estimate."""
-    return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shift_to_now(gains, now, arrival))
+    return linear_filter.newest_innovation_stats(
+        gains, linear_filter.newest(gains, memory), shift_to_now(gains, now, arrival)
+    )
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)

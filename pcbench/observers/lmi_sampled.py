@@ -58,7 +58,7 @@ def design(context: DesignContext, options: Options) -> Design:
     require_detectable(model, where)
     option_L = None if options.L is None else matrix(options.L, model.C.T.shape, f"{where}: L", "states x outputs")
     task = task_of(context, options, where)
-    scale = riccati.near(riccati.prior_size(context))
+    scale = riccati.nearest_scale(riccati.prior_size(context))
     L, certificate = held_lmi.design(task, option_L, scale, where)
     mean = max(context.period) * context.dt
     radius = max(constant_periods.spectral_radius(constant_periods.held_map(A, L, model.C, mean)) for A in task.A)

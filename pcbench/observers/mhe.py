@@ -87,13 +87,13 @@ class Options(nonlinear_model.Options):
 def first(gains: Gains, xhat0: Array) -> Window:
     """Return an empty window at the prior."""
     z, M = initial_augmented(gains, xhat0), gains.own.window.shape[0]
-    none = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
+    empty_samples = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
     return Window(
         mean=z,
         P=gains.P0,
         taken=zero,
-        samples=none._replace(taken=jnp.zeros(M, int)),
+        samples=empty_samples._replace(taken=jnp.zeros(M, int)),
         path=row,
         means=row,
         spreads=rows,
@@ -135,8 +135,8 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     """Insert a sample of the state's tick into the window, drop the oldest, and solve for all states again."""
     z, P, _ = ekf_iterated.update_about(gains, now, state, sample, state.mean)
 
-    def shift(rows: Array, new: Array) -> Array:
-        return jnp.concatenate([rows[1:], jnp.asarray(new)[None]])
+    def shift(rows: Array, entry: Array) -> Array:
+        return jnp.concatenate([rows[1:], jnp.asarray(entry)[None]])
 
     w = state._replace(
         samples=jax.tree.map(shift, state.samples, sample),
@@ -155,18 +155,20 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shift(state.means, path[-1]))
 
 
-OBSERVER = repropagation.observer(repropagation.Way(ekf_iterated.tick, update, ekf_iterated.innovation_at_mean, first))
+OBSERVER = repropagation.observer(
+    repropagation.FilterFunctions(ekf_iterated.tick, update, ekf_iterated.innovation_at_mean, first)
+)
 
 
 def bounds_of(context: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
     """Return the bounds of states and unknowns, () without bounds; raise UserError if they do not fit or exclude xhat0."""
     n = len(context.model.A)
     ends = []
-    for name, none in (("lower", -np.inf), ("upper", np.inf)):
+    for name, default in (("lower", -np.inf), ("upper", np.inf)):
         bound = getattr(options, name)
         if isinstance(bound, list) and len(bound) != n:
             raise UserError(f"{where}: {name}: got {brief_repr(bound)}, expected a number, or {n}, one for each state.")
-        ends.append(np.broadcast_to(none if bound is None else np.asarray(bound, float), n))
+        ends.append(np.broadcast_to(default if bound is None else np.asarray(bound, float), n))
     low, high = ends
     if not np.all(low < high):
         raise UserError(
@@ -178,8 +180,8 @@ def bounds_of(context: DesignContext, options: Options, where: str) -> Bounds | 
             f"{where}: got bounds that leave out xhat0 = {start.tolist()}, expected lower <= xhat0 <= upper; widen them, or "
             "start within."
         )
-    more = np.array(context.unknown_range, float).reshape(-1, 2)
-    low, high = np.append(low, more[:, 0]), np.append(high, more[:, 1])
+    unknown_range = np.array(context.unknown_range, float).reshape(-1, 2)
+    low, high = np.append(low, unknown_range[:, 0]), np.append(high, unknown_range[:, 1])
     if not (np.isfinite(low) | np.isfinite(high)).any():
         return ()
     size = np.sqrt(np.append(np.diag(context.P0), np.square(context.unknown_std)))
@@ -189,12 +191,12 @@ def bounds_of(context: DesignContext, options: Options, where: str) -> Bounds | 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError for a window longer than a run, or for bounds that exclude xhat0."""
     where = f"mhe in {context.scenario}"
-    most = sum(context.ticks // period + 1 for period in context.period)
-    window = min(USUAL, most) if options.window is None else options.window
-    if window > most:
+    longest = sum(context.ticks // period + 1 for period in context.period)
+    window = min(USUAL, longest) if options.window is None else options.window
+    if window > longest:
         raise UserError(
-            f"{where}: got a window of {window} samples, longer than the horizon, in which {most} are taken; expected "
-            f"at most {most}."
+            f"{where}: got a window of {window} samples, longer than the horizon, in which {longest} are taken; expected "
+            f"at most {longest}."
         )
     horizon = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(context, options, where))
     return nonlinear_model.design(context, options, "mhe", lambda gains: horizon)

@@ -30,7 +30,7 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, reorder_buffer, unknown_delay
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
-from pcbench.observers.parts.unknown_delay import Gains, read, spread
+from pcbench.observers.parts.unknown_delay import Gains, signals_of, spread
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
@@ -65,13 +65,13 @@ class Options(unknown_delay.Options):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory with every filter at the prior, weighted by the prior density of its delay."""
-    many = gains.own.shape[0]
+    n_models = gains.own.shape[0]
     deviation = (gains.own * gains.dt - gains.delay) / gains.delay_std
     weight = jax.nn.log_softmax(-0.5 * jnp.square(deviation))
     first = Filters(
-        x=jnp.broadcast_to(xhat0, (many, *xhat0.shape)),
-        P=jnp.broadcast_to(gains.P0, (many, *gains.P0.shape)),
-        at=jnp.zeros(many, int),
+        x=jnp.broadcast_to(xhat0, (n_models, *xhat0.shape)),
+        P=jnp.broadcast_to(gains.P0, (n_models, *gains.P0.shape)),
+        at=jnp.zeros(n_models, int),
         weight=weight,
     )
     return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
@@ -88,10 +88,10 @@ def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, sto
     def tick(i: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
         x, P = xP
         k = start + i
-        u, goes = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
+        u, is_active = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
         x_next = x @ gains.Phi.T + u @ gains.Gamma.T
         spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
-        return jnp.where(goes[:, None], x_next, x), jnp.where(goes[:, None, None], spread, P)
+        return jnp.where(is_active[:, None], x_next, x), jnp.where(is_active[:, None, None], spread, P)
 
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
 
@@ -110,8 +110,8 @@ def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple
 
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
     """Update every filter at its assumed sampling tick, and its weight by the likelihood of the sample."""
-    came = sample.snapshot[0].astype(int)
-    ticks = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
+    arrival_tick = sample.snapshot[0].astype(int)
+    ticks = jnp.maximum(jnp.minimum(sample.taken - gains.own, arrival_tick), before.at)  # 0 at the start
     x, P = predict_models(gains, now, before.x, before.P, before.at, ticks)
     x, P, likelihood = jax.vmap(partial(update_model, gains, sample))(x, P)
     return Filters(x, P, ticks, jax.nn.log_softmax(before.weight + likelihood))
@@ -121,8 +121,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Insert the arriving sample in order of sampling, and mix the filters' predictions of the present."""
 
     def apply(memory: Memory, arrival: Arrival) -> Memory:
-        came = jnp.asarray(now.tick, float)[None]
-        sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, came)
+        arrival_tick = jnp.asarray(now.tick, float)[None]
+        sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, arrival_tick)
         buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
         present = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
         return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
@@ -142,7 +142,7 @@ def mean(gains: Gains, weight: Float[Array, " M"]) -> Float[Array, ""]:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
     """Return the present xhat, and the delay if it is the plant's unknown."""
-    return read(gains, memory.xhat, memory.delay)
+    return signals_of(gains, memory.xhat, memory.delay)
 
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:

@@ -37,10 +37,10 @@ def equivalent(gains: Gains, memory: Memory, tick: Array) -> Last:
     is_earlier = memory.past.taken <= tick
     newest = is_earlier & (jnp.cumsum(is_earlier[::-1])[::-1] == 1)  # the last one: several may have the same tick
     before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
-    there = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
+    prior = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
     x, P, _ = memory.posterior
-    inverse = jnp.linalg.inv(there.P)
-    return Last(there.P, inverse @ (x - there.mean), inverse @ (there.P - P) @ inverse)
+    inverse = jnp.linalg.inv(prior.P)
+    return Last(prior.P, inverse @ (x - prior.mean), inverse @ (prior.P - P) @ inverse)
 
 
 OBSERVER = retrodiction.observer(equivalent, zero=False)

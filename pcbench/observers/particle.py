@@ -111,17 +111,17 @@ def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Arr
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weight the particles by a sample of their tick, and resample if too few are effective."""
     y = predict_outputs(gains, now, state.x)
-    off = jnp.square(jax.vmap(lambda y_i: nearest(gains, sample.value, y_i) - y_i)(y))
-    off = off / sample.variances(gains.R)[None]
-    off = jnp.where(jnp.isnan(off), jnp.inf, off)  # a particle without a finite output has weight 0
-    weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], off, 0.0), axis=1)
+    square = jnp.square(jax.vmap(lambda y_i: nearest(gains, sample.value, y_i) - y_i)(y))
+    square = square / sample.variances(gains.R)[None]
+    square = jnp.where(jnp.isnan(square), jnp.inf, square)  # a particle without a finite output has weight 0
+    weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], square, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     share, S = jnp.exp(weight), weight.shape[0]
-    few = 1.0 / jnp.sum(share * share) < gains.own.share * S
+    is_degenerate = 1.0 / jnp.sum(share * share) < gains.own.share * S
     U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.taken, ())
     parents = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
-    x = jnp.where(few, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)
-    return state._replace(x=x, weight=jnp.where(few, -jnp.log(float(S)), weight))
+    x = jnp.where(is_degenerate, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)
+    return state._replace(x=x, weight=jnp.where(is_degenerate, -jnp.log(float(S)), weight))
 
 
 def weighted_moments(weight: Float[Array, " S"], points: Float[Array, "S k"]) -> tuple[Array, Array]:
@@ -151,9 +151,9 @@ def innovation_of_cloud(gains: Gains, now: Now, state: Cloud, sample: Measuremen
     return kalman.by_points(gains, *weighted_moments(weight, joint), sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_of_cloud, first, mean, spread))._replace(
-    init_random=init_random
-)
+OBSERVER = repropagation.observer(
+    repropagation.FilterFunctions(tick, update, innovation_of_cloud, first, mean, spread)
+)._replace(init_random=init_random)
 
 
 def symmetric_root(M: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ from pydantic import Field
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.common import xhat
-from pcbench.observers.parts.options import StrictOptions, matrix, tunable, way
+from pcbench.observers.parts.options import StrictOptions, matrix, method_option, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Leaf, Observer, Room
@@ -52,7 +52,7 @@ class Gains(NamedTuple):
 class Options(StrictOptions):
     """Design method of the gain, and requirements on its certificate."""
 
-    gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = way(
+    gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = method_option(
         "lmi",
         description="design: LMI (23), stationary Kalman filter, fastest decay over a range, or least noise in the estimate "
         "(H2 or H-infinity norm)",
@@ -96,12 +96,12 @@ def design(context: DesignContext, options: Options) -> Design:
     require_detectable(context.model, where)
     shape = context.model.C.T.shape
     given = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
-    wide = options.period_range is not None or options.parameter_range is not None
+    has_range = options.period_range is not None or options.parameter_range is not None
     maps = (
         parameter_ranges.maps(context, options.period_range, options.parameter_range, options.q, where)
-        if wide
+        if has_range
         else None
     )
     L, certificate = current_gains.find(context, options.gain, given, options.q, options.decay, maps, where)
-    moves = prediction.motion_of(context.model, context)
-    return Design(Gains(moves, context.model.C, context.model.feedthrough, L, context.room), certificate)
+    motion = prediction.motion_of(context.model, context)
+    return Design(Gains(motion, context.model.C, context.model.feedthrough, L, context.room), certificate)

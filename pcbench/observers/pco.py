@@ -124,9 +124,9 @@ def design(context: DesignContext, options: Proportional) -> Design:
     matrices = [matrix(value, shape, f"{where}: {name}", dimensions) for name, value in fixed.items()]
     Kp, Ki, proof = reduced_order.design(plant, matrices, integral, options.decay, where)
     certificate = require_certified(proof, where)
-    moves = prediction.motion_of(context.model, context)
+    motion = prediction.motion_of(context.model, context)
     gains = Gains(
-        motion=moves,
+        motion=motion,
         T=plant.T,
         T_inv=np.linalg.inv(plant.T),
         D=context.model.feedthrough,

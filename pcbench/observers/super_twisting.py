@@ -73,9 +73,11 @@ def correction(law: Law, b: Float[Array, ""], h: Float[Array, ""]) -> tuple[Floa
     """Return the corrections of position and rate for an innovation b after h seconds."""
     size, sign, reach = jnp.abs(b), jnp.sign(b), h**2 * law.k2
     root = (jnp.sqrt((h * law.k1) ** 2 + 4 * jnp.maximum(size - reach, 0.0)) - h * law.k1) / 2
-    inside = size <= reach
-    rate = jnp.where(inside & (law.explicit == 0), b / h, h * law.k2 * sign)
-    position = jnp.where(law.explicit == 1, h * law.k1 * jnp.sqrt(size), size - jnp.where(inside, 0.0, root**2)) * sign
+    is_inside = size <= reach
+    rate = jnp.where(is_inside & (law.explicit == 0), b / h, h * law.k2 * sign)
+    position = (
+        jnp.where(law.explicit == 1, h * law.k1 * jnp.sqrt(size), size - jnp.where(is_inside, 0.0, root**2)) * sign
+    )
     return position, rate
 
 
@@ -89,39 +91,39 @@ def tick(gains: Gains, now: Now, state: State) -> State:
     return state._replace(x=gains.motion(now, state.x))
 
 
-def update(gains: Gains, there: Now, state: State, sample: Measurement) -> State:
+def update(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> State:
     """Correct at the sampling time."""
     law: Law = gains.own
-    none = jnp.zeros(0)
-    y = gains.C @ state.x if gains.sensor is None else gains.sensor(there, state.x, none)
+    empty = jnp.zeros(0)
+    y = gains.C @ state.x if gains.sensor is None else gains.sensor(sample_now, state.x, empty)
     b = jnp.where(sample.mask, nonlinear_model.nearest(gains, sample.value, y) - y, 0.0)[0]
     since = sample.taken - state.last
-    position, rate = correction(law, b, jnp.where(since > 0, since * there.dt, law.period))
+    position, rate = correction(law, b, jnp.where(since > 0, since * sample_now.dt, law.period))
     x = state.x + law.back @ jnp.stack([position, rate])
     return State(x, sample.taken, jnp.where(sample.mask[0], sample.taken, state.last))
 
 
-def expected(gains: Gains, there: Now, state: State, sample: Measurement) -> InnovationStats:
+def expected(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> InnovationStats:
     """Return empty statistics, because the observer has no covariance."""
     return InnovationStats(jnp.zeros(()), jnp.zeros(()))
 
 
-WAY = repropagation.Way(tick, update, expected, first, mean=lambda gains, state: state.x)
-OBSERVER = repropagation.observer(WAY)._replace(covariance=None, innovation=None)
+FUNCTIONS = repropagation.FilterFunctions(tick, update, expected, first, mean=lambda gains, state: state.x)
+OBSERVER = repropagation.observer(FUNCTIONS)._replace(covariance=None, innovation=None)
 
 
 def coordinates(context: DesignContext, where: str) -> np.ndarray:
     """Return the map [2, 2] from (y, y') to x; raise UserError for a plant without such coordinates."""
-    wrong = "a plant that is given by its step" if context.successor is not None else ""
-    wrong = wrong or (f"{len(context.unknown_std)} unknown inputs or parameters" if context.unknown_std else "")
-    if not wrong and context.field is None:
+    problem = "a plant that is given by its step" if context.successor is not None else ""
+    problem = problem or (f"{len(context.unknown_std)} unknown inputs or parameters" if context.unknown_std else "")
+    if not problem and context.field is None:
         return np.linalg.inv(bandwidth.chain_of(context.model, where, 2).O)
-    if not wrong and not _is_position_and_rate(context):
-        wrong = "a nonlinear plant whose states are not the output and its derivative"
-    if wrong:
+    if not problem and not _is_position_and_rate(context):
+        problem = "a nonlinear plant whose states are not the output and its derivative"
+    if problem:
         raise UserError(
-            f"{where}: got {wrong}, expected two states, the measured position and its rate, without unknown inputs; take ekf "
-            "or another observer."
+            f"{where}: got {problem}, expected two states, the measured position and its rate, without unknown inputs; take "
+            "ekf or another observer."
         )
     return np.eye(2)
 
@@ -132,10 +134,10 @@ def _is_position_and_rate(context: DesignContext) -> bool:
     if n != 2 or len(context.model.C) != 1:
         return False
     for z in np.random.default_rng(0).normal(size=(4, 2 + m)):
-        x, u, none = jnp.asarray(z[:2]), jnp.asarray(z[2:]), jnp.zeros(0)
+        x, u, empty = jnp.asarray(z[:2]), jnp.asarray(z[2:]), jnp.zeros(0)
         now = Now(jnp.zeros(()), jnp.asarray(0), jnp.asarray(context.dt), u, lambda age: u)  # noqa: B023
-        y = context.model.C @ x if context.sensor is None else context.sensor(now, x, none)
-        rate = context.field(now, x, none)  # type: ignore[misc]
+        y = context.model.C @ x if context.sensor is None else context.sensor(now, x, empty)
+        rate = context.field(now, x, empty)  # type: ignore[misc]
         if not np.allclose([y[0], rate[0]], x, rtol=1e-12, atol=1e-12):
             return False
     return True

@@ -111,7 +111,7 @@ def innovation_by_points(gains: Gains, now: Now, state: Posterior, sample: Measu
     return update_by_points(gains, now, state, sample)[2]
 
 
-OBSERVER = repropagation.observer(repropagation.Way(tick, update, innovation_by_points))
+OBSERVER = repropagation.observer(repropagation.FilterFunctions(tick, update, innovation_by_points))
 
 
 def points_of(options: Options, N: int, where: str) -> Points:

@@ -108,8 +108,8 @@ def _findings() -> Iterator[Claim]:
     steps = ", ".join(f"{e3:.1e} with steps of {dt:g} s" for dt, e3 in size.items())
     steps_of_d = np.diff(falls.input.to_numpy())
     times = [f"{falls.t.to_numpy()[k + 1]:g}" for k in np.flatnonzero(np.abs(steps_of_d) > 0.1)]
-    off = {f"{tau:g}": _just_after(falls, tau) for tau in (2.0, 4.0, 6.0, 8.0)}
-    text = f"d jumps at {', '.join(times)} s; PIO's d is {min(off.values()):.2f} or more off there, and so is SMO's"
+    offsets = {f"{tau:g}": _just_after(falls, tau) for tau in (2.0, 4.0, 6.0, 8.0)}
+    text = f"d jumps at {', '.join(times)} s; PIO's d is {min(offsets.values()):.2f} or more off there, and so is SMO's"
     close = "except for rounding" if off_by < 1e-9 else f"except for {off_by:.0e}"
     yield from _compare_columns()
     yield statement(
@@ -120,7 +120,7 @@ def _findings() -> Iterator[Claim]:
         bool(worst_d["smo"] < worst_d["pio"]),
     )
     yield statement(
-        "under d2 PIO's d deviates at", "2, 4, 6, 8 s", text, set(off) <= set(times) and min(off.values()) > 0.1
+        "under d2 PIO's d deviates at", "2, 4, 6, 8 s", text, set(offsets) <= set(times) and min(offsets.values()) > 0.1
     )
     yield report_finding(
         "content of the columns x1, x4 of Table 2",
@@ -194,20 +194,23 @@ def _rms(stats: pd.DataFrame) -> tuple[dict[str, float], dict[str, float]]:
 def table_claims() -> list[Claim]:
     """Return the 40 entries of Table 2."""
     scenarios = list(INPUTS.values())
-    near = {"scenario": {"initial_spread": 1e-6}}
-    many = api.run({"name": "starts", "scenarios": scenarios}, observers=["pio"], seeds=STARTS, options=near).runs
+    options = {"scenario": {"initial_spread": 1e-6}}
+    many = api.run({"name": "starts", "scenarios": scenarios}, observers=["pio"], seeds=STARTS, options=options).runs
     out = []
     for (force, observer, metric), text in PRINTED.items():
         for (x, signal), printed in zip(SIGNALS.items(), text.split(), strict=True):
             value = entry(force, observer, x, metric)
             nearby_values = _column(many, force, observer, signal, metric)
             low, high = (nearby_values.min(), nearby_values.max()) if len(nearby_values) else (value, value)
-            how = judge(printed, value, min(low, value), max(high, value))
-            nearby = f"; {STARTS} starts nearby {low:.3g} to {high:.3g}" if how in ("band", "differs") else ""
-            verdict, rough = FALSE if how == "differs" else REPRODUCED, observer == "pio" and how != "differs"
+            agreement = judge(printed, value, min(low, value), max(high, value))
+            nearby = f"; {STARTS} starts nearby {low:.3g} to {high:.3g}" if agreement in ("band", "differs") else ""
+            verdict, rough = (
+                FALSE if agreement == "differs" else REPRODUCED,
+                observer == "pio" and agreement != "differs",
+            )
             claim = f"Table 2, {force} {observer.upper()} {metric} {x}"
-            steady = STEADY[how] if rough else f"{value:.1g}" if how == "differs" else ""
-            out.append(Claim(claim, printed, f"{value:.6g}, {HOW[how]}{nearby}", verdict, steady))
+            steady = STEADY[agreement] if rough else f"{value:.1g}" if agreement == "differs" else ""
+            out.append(Claim(claim, printed, f"{value:.6g}, {HOW[agreement]}{nearby}", verdict, steady))
     return out
 
 
@@ -276,13 +279,13 @@ def _objective(claim: str, printed: float, best: float) -> Claim:
 
 def _compare_matrix(claim: str, printed: ArrayLike, best: NDArray[np.float64]) -> Claim:
     """Return the claim that a printed matrix is the optimum, with the deviation relative to its largest entry."""
-    off = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
-    text = f"{_entries(best)} at the optimum: {off:.1f} % off, within a solver's default accuracy"
-    return statement(claim, _entries(printed, 5), text, bool(off < NEAR))
+    deviation = 100 * np.abs(np.asarray(printed) - best).max() / np.abs(best).max()
+    text = f"{_entries(best)} at the optimum: {deviation:.1f} % off, within a solver's default accuracy"
+    return statement(claim, _entries(printed, 5), text, bool(deviation < NEAR))
 
 
-def _entries(M: ArrayLike, many: int = 4) -> str:
-    return "; ".join(" ".join(f"{0.0 if abs(v) < 1e-4 else v:.{many}g}" for v in row) for row in np.asarray(M))
+def _entries(M: ArrayLike, n_digits: int = 4) -> str:
+    return "; ".join(" ".join(f"{0.0 if abs(v) < 1e-4 else v:.{n_digits}g}" for v in row) for row in np.asarray(M))
 
 
 def _part_claims() -> Iterator[Claim]:

@@ -56,11 +56,11 @@ def statement(claim: str, printed: str, reproduced: str, true: bool, steady: str
 
 def digits(claim: str, printed: str, value: float, mismatch: str = FALSE) -> Claim:
     """Return the comparison of a printed decimal number with a value rounded to as many decimals."""
-    many = len(printed.replace("-", "").replace(".", "").lstrip("0"))
-    same = rounds_to(printed, value)
-    how = f"to {many} digits" if many else "zero to every decimal"
+    n_digits = len(printed.replace("-", "").replace(".", "").lstrip("0"))
+    agrees = rounds_to(printed, value)
+    precision = f"to {n_digits} digits" if n_digits else "zero to every decimal"
     text = f"{value:.8g}" if abs(value) > TINY else f"below {TINY:g}"
-    return Claim(claim, printed, f"{text}, {how}" if same else text, REPRODUCED if same else mismatch)
+    return Claim(claim, printed, f"{text}, {precision}" if agrees else text, REPRODUCED if agrees else mismatch)
 
 
 def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", mismatch: str = FALSE) -> Claim:
@@ -68,15 +68,15 @@ def all_digits(claim: str, printed: str, values: ArrayLike, source: str = "", mi
     words, numbers = NUMBER.findall(printed), np.atleast_1d(np.asarray(values)).ravel()
     if np.iscomplexobj(numbers):
         numbers = np.array([part for z in numbers for part in ((z.real, z.imag) if z.imag else (z.real,))])
-    same = len(words) == len(numbers) and all(
+    agrees = len(words) == len(numbers) and all(
         rounds_to(text, value) for text, value in zip(words, numbers, strict=True)
     )
-    more = 0 if numbers.dtype.kind == "i" else 1
+    extra_digits = 0 if numbers.dtype.kind == "i" else 1
     computed = ", ".join(
-        f"{round(value, decimals(text) + more) + 0.0:.{decimals(text) + more}f}"
+        f"{round(value, decimals(text) + extra_digits) + 0.0:.{decimals(text) + extra_digits}f}"
         for value, text in zip(numbers, words, strict=False)
     )
-    return Claim(claim, printed, computed, REPRODUCED if same else mismatch, source=source)
+    return Claim(claim, printed, computed, REPRODUCED if agrees else mismatch, source=source)
 
 
 def rounds_to(printed: str, value: float) -> bool:

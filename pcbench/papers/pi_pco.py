@@ -172,16 +172,16 @@ def equations() -> list[Claim]:
     ]
 
 
-def arrivals(many: int) -> list[int]:
+def arrivals(count: int) -> list[int]:
     """Return the first ticks at which a sample arrives in cart/variable: T_i = round(200 + 100 sin 0.6 i) ms."""
-    return [int(t) for t in np.cumsum([round(200 + 100 * np.sin(0.6 * i)) for i in range(1, many + 1)])]
+    return [int(t) for t in np.cumsum([round(200 + 100 * np.sin(0.6 * i)) for i in range(1, count + 1)])]
 
 
-def theta_form(late: int, many: int = 40) -> float:
+def theta_form(late: int, count: int = 40) -> float:
     """Return the difference between (15) to (17) and (12) to (14) if (15) uses the integral `late` samples older."""
     rng, w, L = np.random.default_rng(2), 0.0, [0.0] * (late + 1)
     y, integral, worst = [5.0], 0.0, 0.0
-    times = [0, *arrivals(many)]
+    times = [0, *arrivals(count)]
     theta = w - KP * y[0]
     for a, b in pairwise(times):
         T = (b - a) * 1e-3

@@ -80,10 +80,10 @@ def nominal(numbers: Numbers) -> Model:
 def successor(params: Params, now: Now, x: Float[Array, "5"], unknowns: Float[Array, "0"]) -> Float[Array, "5"]:
     """Return x one step later; nothing is unknown."""
     px, vx, py, vy, w = x
-    near = jnp.abs(w) < STRAIGHT
-    divisor = jnp.where(near, 1.0, w)
-    s = jnp.where(near, 1 - w**2 / 6, jnp.sin(w) / divisor)
-    c = jnp.where(near, w / 2 - w**3 / 24, 2 * jnp.sin(w / 2) ** 2 / divisor)
+    is_straight = jnp.abs(w) < STRAIGHT
+    divisor = jnp.where(is_straight, 1.0, w)
+    s = jnp.where(is_straight, 1 - w**2 / 6, jnp.sin(w) / divisor)
+    c = jnp.where(is_straight, w / 2 - w**3 / 24, 2 * jnp.sin(w / 2) ** 2 / divisor)
     sin, cos = jnp.sin(w), jnp.cos(w)
     return jnp.stack([px + s * vx - c * vy, cos * vx - sin * vy, py + c * vx + s * vy, sin * vx + cos * vy, w])
 
@@ -112,8 +112,8 @@ def output(params: Params, now: Now, x: Float[Array, "5"]) -> Float[Array, "2"]:
 
 def errors(params: Params, now: Now, x: Float[Array, "5"], xhat: Float[Array, "5"]) -> Float[Array, "2"]:
     """Return the distance of the estimated from the true position [m], and that of the velocities [m/s]."""
-    off = x - xhat
-    return jnp.sqrt(jnp.stack([off[0] ** 2 + off[2] ** 2, off[1] ** 2 + off[3] ** 2]))
+    error = x - xhat
+    return jnp.sqrt(jnp.stack([error[0] ** 2 + error[2] ** 2, error[1] ** 2 + error[3] ** 2]))
 
 
 PLANT = Plant(step, output, errors=errors, scored=len(ERRORS))

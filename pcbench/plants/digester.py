@@ -197,8 +197,8 @@ def nominal(numbers: Numbers) -> Model:
 
 def residual(numbers: Numbers) -> Matrix:
     """Return dx/dt at the operating point, [12] in g/(L s): 0 with the nominal constants."""
-    moves = rate_of(numbers, *operating_point(numbers.point)) / DAY
-    return np.where(np.abs(moves) > 1e-12, moves, 0.0)
+    rate = rate_of(numbers, *operating_point(numbers.point)) / DAY
+    return np.where(np.abs(rate) > 1e-12, rate, 0.0)
 
 
 def rates(params: Params, x: Float[Array, "12"], feed: Array) -> Float[Array, "12"]:
@@ -214,8 +214,8 @@ def solve(params: Params, x: Float[Array, "12"], h: Array, b: Float[Array, "12"]
     a, (h1, h2) = GAMMA * h, params.henry
     p = RT_CH4 * x[10] + RT_CO2 * x[11]
     q, dq = params.flow * (p - params.p0) * p, params.flow * (2 * p - params.p0)
-    up = a * params.kla
-    to_gas = up * params.Vl / params.Vg / (1 + up)  # of the liquid's part, which is eliminated
+    transfer = a * params.kla
+    to_gas = transfer * params.Vl / params.Vg / (1 + transfer)  # of the liquid's part, which is eliminated
     m11 = 1 + to_gas * h1 + a / params.Vg * (q + dq * RT_CH4 * x[10])
     m12 = a / params.Vg * dq * RT_CO2 * x[10]
     m21 = a / params.Vg * dq * RT_CH4 * x[11]
@@ -223,7 +223,7 @@ def solve(params: Params, x: Float[Array, "12"], h: Array, b: Float[Array, "12"]
     r1, r2 = b[10] + to_gas * b[0], b[11] + to_gas * b[1]
     det = m11 * m22 - m12 * m21
     g1, g2 = (m22 * r1 - m12 * r2) / det, (m11 * r2 - m21 * r1) / det
-    l1, l2 = (b[0] + up * h1 * g1) / (1 + up), (b[1] + up * h2 * g2) / (1 + up)
+    l1, l2 = (b[0] + transfer * h1 * g1) / (1 + transfer), (b[1] + transfer * h2 * g2) / (1 + transfer)
     return jnp.concatenate([jnp.stack([l1, l2]), b[2:10], jnp.stack([g1, g2])])
 
 

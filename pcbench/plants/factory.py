@@ -280,9 +280,9 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
         user_numbers, x = nonlinear.user_numbers(e, numbers), jnp.array(e.x0)
         u, dt = jnp.array(e.u0), jnp.asarray(e.tick or 0.0)
         now = Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
-        moves = "field" if e.field is not None else "step"
+        kind = "field" if e.field is not None else "step"
         values = {}
-        for name in (moves, "output"):
+        for name in (kind, "output"):
             try:
                 values[name] = np.asarray(jnp.asarray(getattr(e, name)(user_numbers, now, x)))
             except UserError:
@@ -292,9 +292,9 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
                     f"{WHERE}: {name} cannot be computed at the operating point: {describe_exception(error)}; "
                     "correct that line."
                 ) from None
-        if values[moves].shape != (n,):
+        if values[kind].shape != (n,):
             raise UserError(
-                f"{WHERE}: {moves}: got an array of shape {values[moves].shape}, expected ({n},), a number for each state."
+                f"{WHERE}: {kind}: got an array of shape {values[kind].shape}, expected ({n},), a number for each state."
             )
         if values["output"].ndim != 1 or not values["output"].size:
             raise UserError(
@@ -311,9 +311,9 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
             linear = nonlinear.nominal(e._replace(y0=y0), numbers)
         except Exception as error:
             raise UserError(
-                f"{WHERE}: the slope of {moves} or output cannot be taken: {describe_exception(error)}; write it in jax.numpy."
+                f"{WHERE}: the slope of {kind} or output cannot be taken: {describe_exception(error)}; write it in jax.numpy."
             ) from None
-    for name, matrices in ((moves, (linear.A, linear.B, linear.E)), ("output", (linear.C, linear.D))):
+    for name, matrices in ((kind, (linear.A, linear.B, linear.E)), ("output", (linear.C, linear.D))):
         for matrix in matrices:
             if matrix is not None:
                 _require_finite(f"the slope of {name}", matrix, e)
@@ -323,15 +323,15 @@ def _try_output(e: Equations, numbers: PyTree) -> tuple[float, ...]:
 def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) -> None:
     """Raise UserError if an output's residual is not [q], or is not 0 for equal arguments."""
     try:
-        same = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
+        value = np.asarray(jnp.asarray(residual(jnp.asarray(y0), jnp.asarray(y0))))
     except Exception as error:
         raise UserError(
             f"{WHERE}: output_residual cannot be computed at the operating point: {describe_exception(error)}; "
             "correct that line."
         ) from None
-    if same.shape != y0.shape or np.any(same != 0):
+    if value.shape != y0.shape or np.any(value != 0):
         raise UserError(
-            f"{WHERE}: output_residual: got {brief_repr(same.tolist())} of an output less itself, expected {len(y0)} "
+            f"{WHERE}: output_residual: got {brief_repr(value.tolist())} of an output less itself, expected {len(y0)} "
             f"zero{'s' if len(y0) > 1 else ''}: it takes (y, yhat) and returns y less yhat, a number for each output."
         )
 
@@ -339,15 +339,15 @@ def _try_residual(residual: Callable[[Array, Array], PyTree], y0: np.ndarray) ->
 def _try_error(error_function: ErrorFunction, i: int, numbers: PyTree, now: Now, x: Array) -> None:
     """Raise UserError if a user-defined error is not a number, or not 0 for x = xhat."""
     try:
-        same = np.asarray(jnp.asarray(error_function(numbers, now, x, x)))
+        value = np.asarray(jnp.asarray(error_function(numbers, now, x, x)))
     except Exception as error:
         raise UserError(
             f"{WHERE}: errors: number {i + 1} cannot be computed at the operating point: "
             f"{describe_exception(error)}; correct that line."
         ) from None
-    if same.shape or same != 0:
+    if value.shape or value != 0:
         raise UserError(
-            f"{WHERE}: errors: number {i + 1} is {brief_repr(same.tolist())} where x and xhat agree, expected 0: "
+            f"{WHERE}: errors: number {i + 1} is {brief_repr(value.tolist())} where x and xhat agree, expected 0: "
             "it takes (numbers, "
             "now, x, xhat) and returns one number."
         )

@@ -50,10 +50,12 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
 def nominal(numbers: Numbers) -> Model:
     """Return the model linearised at the start; nonlinear filters use `model` and `sensor`."""
     x1, x2, x3 = START
-    thin = np.exp(-numbers.gamma * x1)
-    A = np.array([[0, -1, 0], [numbers.gamma * thin * x2**2 * x3, -2 * thin * x2 * x3, -thin * x2**2], [0, 0, 0]])
-    above = x1 - numbers.height
-    C = np.array([[above / np.hypot(numbers.distance, above), 0.0, 0.0]])
+    density = np.exp(-numbers.gamma * x1)
+    A = np.array(
+        [[0, -1, 0], [numbers.gamma * density * x2**2 * x3, -2 * density * x2 * x3, -density * x2**2], [0, 0, 0]]
+    )
+    relative_height = x1 - numbers.height
+    C = np.array([[relative_height / np.hypot(numbers.distance, relative_height), 0.0, 0.0]])
     return Model(A, np.array([[0.0], [1.0], [0.0]]), C)
 
 

@@ -137,8 +137,8 @@ def errors(
     equations: Equations, params: Params, now: Now, x: Float[Array, " n"], xhat: Float[Array, " n"]
 ) -> Float[Array, " d"]:
     """Return the user-defined errors of an estimate."""
-    there, x, xhat = add_operating_input(params, now), x + params.x0, xhat + params.x0
-    return jnp.stack([jnp.asarray(f(params.numbers, there, x, xhat), float) for f in equations.errors])
+    full_now, x, xhat = add_operating_input(params, now), x + params.x0, xhat + params.x0
+    return jnp.stack([jnp.asarray(f(params.numbers, full_now, x, xhat), float) for f in equations.errors])
 
 
 def unknown(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " s"]:

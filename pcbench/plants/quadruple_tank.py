@@ -150,8 +150,8 @@ def residual(numbers: Numbers) -> Matrix:
     """Return dx/dt at the operating point, [4] in cm/s: 0 with the nominal constants."""
     p = prepare(numbers, 0.0, 0)
     q = np.sqrt(2 * p.g * p.level)
-    moves = np.append(p.upper * q[2:], [0.0, 0.0]) - p.outlet * q + p.pump @ p.voltage
-    return np.where(np.abs(moves) > 1e-12, moves, 0.0)
+    rates = np.append(p.upper * q[2:], [0.0, 0.0]) - p.outlet * q + p.pump @ p.voltage
+    return np.where(np.abs(rates) > 1e-12, rates, 0.0)
 
 
 def step(params: Params, now: Now, x: Float[Array, "4"]) -> Float[Array, "4"]:

@@ -109,8 +109,8 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
     if not problem:
         size = [float((abs(row) @ abs(G)).item()) for row in rows[:n]]
         effect = [float((row @ G).item()) for row in rows[:n]]
-        acts = [abs(e) > ZERO * max(s, 1e-300) for e, s in zip(effect, size, strict=True)]
-        degree = acts.index(True) + 1 if any(acts) else None
+        is_active = [abs(e) > ZERO * max(s, 1e-300) for e, s in zip(effect, size, strict=True)]
+        degree = is_active.index(True) + 1 if any(is_active) else None
         if degree == n:
             return Chain(np.vstack(rows[:n]), rows[n], effect[-1], G)
         problem = f"a disturbance of relative degree {degree} with {n} states"

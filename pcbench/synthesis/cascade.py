@@ -110,8 +110,8 @@ def design(
     """
     counts = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
     for count in counts:
-        wait = max(3.0 * max(divide(delay, count)), 1.5 * period)
-        K = gain(Phi, C, np.exp(-1 / wait) if decay is None else decay, where)
+        time_constant = max(3.0 * max(divide(delay, count)), 1.5 * period)
+        K = gain(Phi, C, np.exp(-1 / time_constant) if decay is None else decay, where)
         links = Links(divide(delay, count), K)
         certificate = certify(Phi, C, links, period)
         if certificate.margin > 0:

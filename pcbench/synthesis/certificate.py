@@ -19,9 +19,9 @@ NO_GAIN = "none: no gain"  # an inequality, of an observer without gains
 NO_NOISE = 1e-12  # variance of a sample in a scenario without measurement noise
 
 
-def power_of_2(many: int) -> int:
-    """Return the least power of 2 that is at least `many`, or 0 for 0; few sizes mean few compiled programs."""
-    return 1 << (many - 1).bit_length() if many else 0
+def power_of_2(n: int) -> int:
+    """Return the least power of 2 that is at least n, or 0 for 0; few sizes mean few compiled programs."""
+    return 1 << (n - 1).bit_length() if n else 0
 
 
 class Certificate(NamedTuple):
@@ -111,8 +111,8 @@ class DesignContext(NamedTuple):
 
     def roomier(self, other: "DesignContext") -> "DesignContext":
         """Return a copy with at least as much room for samples as another context."""
-        most = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
-        return self._replace(**most)
+        sizes = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
+        return self._replace(**sizes)
 
     @property
     def room(self) -> np.ndarray:

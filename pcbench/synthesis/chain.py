@@ -111,7 +111,7 @@ def by_companion(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix
     return np.asarray((power(plant.A, d) - F) @ np.linalg.inv(plant.C), float)
 
 
-def one_sample(chain: list[Link], C: Matrix) -> Matrix:
+def sample_map(chain: list[Link], C: Matrix) -> Matrix:
     """Return the map [n theta, n theta] of the errors over one sample, newest first, with theta the longest delay.
 
     Row g is the error of the state g samples ago, as estimated by the link whose range (stamp to source) contains g.
@@ -124,11 +124,11 @@ def one_sample(chain: list[Link], C: Matrix) -> Matrix:
     for link, stamp, source in reversed(list(zip(chain, theta, theta[1:], strict=False))):
         if link.d == 0:
             continue
-        old = np.zeros((n, n * blocks))
-        old[:, n * (source - 1) : n * source] = np.eye(n)
+        selector = np.zeros((n, n * blocks))
+        selector[:, n * (source - 1) : n * source] = np.eye(n)
         miss = (1 - link.seen)[:, None] * eps
-        J[n * stamp : n * (stamp + 1)] = link.F @ old + link.K @ miss
-        eps = link.W @ old + link.V @ miss
+        J[n * stamp : n * (stamp + 1)] = link.F @ selector + link.K @ miss
+        eps = link.W @ selector + link.V @ miss
     return J
 
 
@@ -147,22 +147,22 @@ def rounding(F: Matrix, d: int) -> float:
     return float(10 * eps ** (1 / len(F)) * np.linalg.norm(balanced, 2) + eps * len(F) * d)
 
 
-def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
+def certify(chain: list[Link], C: Matrix, method: str) -> Certificate:
     """Return 1 minus the radius of the map of one sample as margin; NaN if it differs from the radius of the links."""
     numbers: dict[str, float | Matrix]
     real = [link for link in chain if link.d]
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
-    exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
+    exact = radius(sample_map(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
     low, high = (
         max(max(radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in real)
         for sign in (-1, 1)
     )
-    same = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
+    is_consistent = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
     for i, link in enumerate(real):
         numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
-    margin = 1 - max(exact, rate) if same else float("nan")
-    return Certificate("radius of the errors' map over one sample < 1", margin, how, "computed", numbers)
+    margin = 1 - max(exact, rate) if is_consistent else float("nan")
+    return Certificate("radius of the errors' map over one sample < 1", margin, method, "computed", numbers)
 
 
 SPAN = (-6.0, 3.0)  # of log10 e
@@ -180,7 +180,9 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     return out
 
 
-def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOLVERS) -> dict[str, float | Matrix]:
+def check(
+    chain: list[Link], scale: Matrix, solver_names: tuple[str, ...] = solvers.SOLVERS
+) -> dict[str, float | Matrix]:
     """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); never raise an error.
 
     Returns `shared_margin`, checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon` and `shared_P`.
@@ -192,7 +194,7 @@ def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOL
 
     def loss(exponent: float) -> float:
         e = 10.0**exponent
-        P = _solve(F, Phi, e, among)
+        P = _solve(F, Phi, e, solver_names)
         results[e] = (float("nan"), P) if P.size == 0 else (_margin(F, Phi, e, P), P)
         return -results[e][0] if np.isfinite(results[e][0]) else 1.0
 
@@ -208,7 +210,7 @@ def _inequality(F: Matrix, Phi: list[Matrix], e: float, P: Any) -> Any:
     return P - (1 + e) * F.T @ P @ F - sum(len(Phi) * (1 + 1 / e) * term for term in terms)
 
 
-def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str, ...]) -> Matrix:
+def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, solver_names: tuple[str, ...]) -> Matrix:
     import cvxpy as cp
 
     n = len(F[0])
@@ -217,7 +219,7 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str,
     for M, row in zip(F, Phi, strict=True):
         form = _inequality(M, row, e, P)
         rules.append((form + form.T) / 2 >> t * np.eye(n))
-    for solver in among:
+    for solver in solver_names:
         try:
             return solvers.minimise(-t, rules, (P,), "(29)", solver, "none is needed")[1][0]
         except DesignError:
@@ -226,5 +228,5 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str,
 
 
 def _margin(F: list[Matrix], Phi: list[list[Matrix]], e: float, P: Matrix) -> float:
-    worst = min(least_eigenvalue(_inequality(M, row, e, P)) for M, row in zip(F, Phi, strict=True))
-    return min(worst, least_eigenvalue(P))
+    margin = min(least_eigenvalue(_inequality(M, row, e, P)) for M, row in zip(F, Phi, strict=True))
+    return min(margin, least_eigenvalue(P))

@@ -83,8 +83,8 @@ def certify(solution: CommonLyapunov, maps: ErrorMaps, rate: float, inequality: 
     P = np.asarray(solution.P, float)
     if P.shape != maps.J.shape[1:]:
         return Certificate(inequality, float("nan"), solution.solver, solution.status)
-    M, wide = np.exp(rate * maps.seconds)[:, None, None] * (P @ maps.J), np.broadcast_to(P, maps.J.shape)
-    blocks = np.concatenate([np.concatenate([wide, M.transpose(0, 2, 1)], 2), np.concatenate([M, wide], 2)], 1)
+    M, P_all = np.exp(rate * maps.seconds)[:, None, None] * (P @ maps.J), np.broadcast_to(P, maps.J.shape)
+    blocks = np.concatenate([np.concatenate([P_all, M.transpose(0, 2, 1)], 2), np.concatenate([M, P_all], 2)], 1)
     margin = min(float(np.linalg.eigvalsh(blocks).min()), least_eigenvalue(P))
     radius = float(np.abs(np.linalg.eigvals(maps.J)).max())
     rate_bound = error_bounds.rate(maps.J, P, maps.seconds)

@@ -47,9 +47,9 @@ def find(
     Phi_delay = linear.over(linear.doublings(context.model, context.dt, linear.bits_for(delay)), delay)
     mean = Maps(Phi[None], Q[None], np.array([period * context.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
-    S = riccati.near(riccati.prior_size(context))
-    s = riccati.near(np.linalg.norm(C * S, axis=1))
-    into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
+    S = riccati.nearest_scale(riccati.prior_size(context))
+    s = riccati.nearest_scale(np.linalg.norm(C * S, axis=1))
+    scaling, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if gain is None and method in ROBUST:
         size = _size(context, Phi, Q, R)
         task = robust_lmi.RobustTask(maps or mean, C, R, Phi_delay / riccati.prior_size(context)[:, None], size)
@@ -57,14 +57,14 @@ def find(
         L = np.asarray(solution.L, float)
     else:
         start = None if gain is None else gain / S[:, None] * s
-        L, certificate = at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
+        L, certificate = at_the_mean(method, start, Phi * scaling, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
-            wide = maps or mean
-            certificate = _over(L, C1, wide._replace(Phi=wide.Phi * into), decay or 0.0, where)
+            all_maps = maps or mean
+            certificate = _over(L, C1, all_maps._replace(Phi=all_maps.Phi * scaling), decay or 0.0, where)
         L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
     L1 = L / S[:, None] * s
-    X = Phi_delay @ (_noise_alone(L1, C1, Phi * into, R1) * np.outer(S, S)) @ Phi_delay.T
+    X = Phi_delay @ (_noise_alone(L1, C1, Phi * scaling, R1) * np.outer(S, S)) @ Phi_delay.T
     numbers = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -133,7 +133,7 @@ def _size(context: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
         L = riccati.current_gain(Phi, context.model.C, Q, R, context.scenario)
     except DesignError:
         return prior
-    keep = np.eye(len(Phi)) - L @ context.model.C
-    X = error_bounds.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
+    I_LC = np.eye(len(Phi)) - L @ context.model.C
+    X = error_bounds.covariance(I_LC @ Phi, I_LC @ Q @ I_LC.T + L @ R @ L.T)
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior

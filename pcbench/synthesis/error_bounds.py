@@ -39,10 +39,10 @@ def rate(F: Matrix, P: Matrix, seconds: Matrix) -> float:
 
 def require_slower(rate: float, seconds: Matrix, where: str) -> None:
     """Raise UserError for a rate [1/s] at which an error decays below e^-12 within some interval [s]."""
-    most = GONE / float(np.max(seconds))
-    if rate > most:
+    limit = GONE / float(np.max(seconds))
+    if rate > limit:
         raise UserError(
-            f"{where}: got a decay of {rate:g} 1/s, expected {most:.3g} at most over intervals of {np.max(seconds):g} s, "
+            f"{where}: got a decay of {rate:g} 1/s, expected {limit:.3g} at most over intervals of {np.max(seconds):g} s, "
             "within which faster errors vanish; take a slower one."
         )
 
@@ -54,8 +54,8 @@ def rate_of(factor: float, seconds: float) -> float:
 
 def noise(L: Matrix, C: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the covariance that one sample adds to the error, [k, n, n] for Q [k, n, n]."""
-    keep = np.eye(len(L)) - L @ C
-    return np.asarray(keep @ Q @ keep.T + L @ R @ L.T)
+    I_LC = np.eye(len(L)) - L @ C
+    return np.asarray(I_LC @ Q @ I_LC.T + L @ R @ L.T)
 
 
 def covariance(F: Matrix, N: Matrix) -> Matrix:
@@ -68,9 +68,9 @@ def covariance(F: Matrix, N: Matrix) -> Matrix:
         return np.full_like(F, np.nan)
     X, power = np.asarray(N, dtype=np.float64), F
     for _ in range(DOUBLINGS):
-        more = power @ X @ power.T
-        X, power = X + more, power @ power
-        if (np.abs(more) <= np.finfo(float).eps * np.abs(X)).all():
+        term = power @ X @ power.T
+        X, power = X + term, power @ power
+        if (np.abs(term) <= np.finfo(float).eps * np.abs(X)).all():
             break
     return X
 

@@ -63,12 +63,14 @@ def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[An
     rate, ages = task.rate * unit, [T / unit for T in task.intervals]
     outputs = [np.diag([float(clock == g) for clock in task.clocks]) @ task.C for g in range(len(ages))]
     forms = []
-    for A, old in itertools.product(task.A * unit, itertools.product((False, True), repeat=len(ages))):
+    for A, ages_old in itertools.product(task.A * unit, itertools.product((False, True), repeat=len(ages))):
         M2, M3 = (w @ A - y @ task.C for w, y in zip(W, Y, strict=True))
-        young_R = sum((age * r for age, r, is_old in zip(ages, R, old, strict=True) if not is_old), np.zeros((n, n)))
+        young_R = sum(
+            (age * r for age, r, is_old in zip(ages, R, ages_old, strict=True) if not is_old), np.zeros((n, n))
+        )
         f12 = P - W[0] + M3.T
         rows = [[M2 + M2.T + 2 * rate * P, f12], [f12.T, young_R - W[1] - W[1].T]]
-        for g in (g for g, is_old in enumerate(old) if is_old):
+        for g in (g for g, is_old in enumerate(ages_old) if is_old):
             edge = [ages[g] * (y @ outputs[g]) for y in Y]
             for row, block in zip(rows, [*edge, *[np.zeros((n, n))] * (len(rows) - 2)], strict=True):
                 row.append(block)
@@ -156,9 +158,9 @@ def largest_interval(task: HeldTask, L: Matrix | None, upper: float) -> tuple[fl
     low, high, best = 0.0, upper, None
     while high - low > PRECISION * (low or upper):
         middle = (low + high) / 2
-        wide = task._replace(intervals=(middle,) * len(task.intervals))
+        trial = task._replace(intervals=(middle,) * len(task.intervals))
         try:
-            certificate = certify(wide, solve(wide, UNKNOWN if L is None else L, "the largest interval"))
+            certificate = certify(trial, solve(trial, UNKNOWN if L is None else L, "the largest interval"))
         except DesignError:
             certificate = None
         if certificate and certificate.margin > 0:

@@ -67,10 +67,10 @@ def certify(error: SampledError, low: float, high: float, where: str) -> Certifi
     """Compute P, and bound |G(s)| over the range; the margin is 1 minus the bound. Raises DesignError without an answer."""
     seconds = np.linspace(low, high, SHOWN)
     solution = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
-    worst = norm_bound(error, solution.P, low, high)
+    largest_norm = norm_bound(error, solution.P, low, high)
     inequality = f"|G(s)| < 1 for all s from {low:g} to {high:g} s, in the norm of P"
     return Certificate(
-        inequality, 1 - worst, solution.solver, solution.status, {"P": solution.P, "largest_norm": worst}
+        inequality, 1 - largest_norm, solution.solver, solution.status, {"P": solution.P, "largest_norm": largest_norm}
     )
 
 

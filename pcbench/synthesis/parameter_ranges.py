@@ -107,8 +107,8 @@ def _maps_at(context: DesignContext, parameters: dict[str, float], ticks: list[i
 def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:
     """Return the indices of some intervals, with the first and the last, at lowest, middle and highest parameter values."""
     axes = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
-    few = max(SHOWN // 3**parameters, 3)
-    some = np.unique(np.linspace(0, intervals - 1, min(few, intervals)).round().astype(int))
+    count = max(SHOWN // 3**parameters, 3)
+    indices = np.unique(np.linspace(0, intervals - 1, min(count, intervals)).round().astype(int))
     shape = (*[VALUES] * parameters, intervals)
-    grids = np.meshgrid(*axes, some, indexing="ij")
+    grids = np.meshgrid(*axes, indices, indexing="ij")
     return np.ravel_multi_index(tuple(g.ravel() for g in grids), shape)

@@ -43,7 +43,7 @@ def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, 
         lambda solver: solve(plant, L1, beta, where, solver),
         lambda solution: certify(solution, plant, L1),
         where,
-        unknown_input.enough(beta),
+        unknown_input.rate_to_certify(beta),
     )
     return solution, unknown_input.require_rate(certificate, beta, where)
 

@@ -69,7 +69,7 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
         A12=Phi_T[:, :l, l:],
         A22=Phi_T[:, l:, l:],
         seconds=maps.seconds,
-        units=riccati.near(np.linalg.norm(T * size, axis=1)),
+        units=riccati.nearest_scale(np.linalg.norm(T * size, axis=1)),
         corners=maps.corners,
     )
 
@@ -140,5 +140,5 @@ def _corners(plant: Partition, rate: float) -> tuple[Matrix, Matrix, Matrix]:
         box = np.array([(x, y) for x in {a.min(), a.max()} for y in {e.min(), e.max()}])
         box = box[np.lexsort(box.T)]
         return box[:, 0].reshape(-1, 1, 1), box[:, 1].reshape(-1, 1, 1), np.zeros(len(box))
-    some = plant.corners
-    return plant.A12[some], plant.A22[some], plant.seconds[some]
+    indices = plant.corners
+    return plant.A12[indices], plant.A22[indices], plant.seconds[indices]

@@ -68,8 +68,8 @@ def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Ma
 def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     """Return the posterior covariance (Joseph form) after a measurement y = C x + v, v ~ N(0, R)."""
     K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
-    keep = np.eye(len(P)) - K @ C
-    return keep @ P @ keep.T + K @ R @ K.T
+    I_KC = np.eye(len(P)) - K @ C
+    return I_KC @ P @ I_KC.T + K @ R @ K.T
 
 
 def _over(binary_maps: Matrix, noise: Matrix, ticks: int) -> tuple[Matrix, Matrix]:
@@ -157,15 +157,15 @@ def posterior_variance(
     times = np.asarray(samples, int).reshape(-1, 3)
     since, at, P = _newest(partial(_after, steps, binary_maps, noise, C, R), P0, times, steps)
     start, stop = np.maximum(since, ticks.start), np.minimum(np.append(since[1:], ticks.stop), ticks.stop)
-    here = start < stop
-    start, stop, P = (start - at)[here], (stop - at)[here], P[here]  # ticks after a sample
+    nonempty = start < stop
+    start, stop, P = (start - at)[nonempty], (stop - at)[nonempty], P[nonempty]  # ticks after a sample
     F, G = _flow(steps, binary_maps, noise, int(stop.max()))
     total = np.zeros(len(P0))
     for i in np.sort(np.unique(start + 1j * stop, return_index=True)[1]):
-        alike = P[(start == start[i]) & (stop == stop[i])]
+        P_i = P[(start == start[i]) & (stop == stop[i])]
         F_i, G_i = (of[start[i] : stop[i]] for of in (F, G))
-        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", F_i, F_i), alike.sum(0))
-        total += len(alike) * np.einsum("kii->i", G_i)
+        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", F_i, F_i), P_i.sum(0))
+        total += len(P_i) * np.einsum("kii->i", G_i)
     return total / len(ticks)
 
 
@@ -266,7 +266,7 @@ def _flow(steps: Steps, binary_maps: Matrix, noise: Matrix, count: int) -> tuple
     return steps.flow["maps"][:count], steps.flow["noise"][:count]
 
 
-def near(size: Matrix) -> Matrix:
+def nearest_scale(size: Matrix) -> Matrix:
     """Return the powers of 1000 nearest to sizes [n], 1 for a size of 0; they scale with the sizes in steps of 1000."""
     return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
 

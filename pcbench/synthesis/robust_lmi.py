@@ -51,7 +51,7 @@ class RobustGain(NamedTuple):
 
 
 def design(
-    task: RobustTask, kind: Kind, decay: float | None, where: str, among: tuple[str, ...] = solvers.SOLVERS
+    task: RobustTask, kind: Kind, decay: float | None, where: str, solver_names: tuple[str, ...] = solvers.SOLVERS
 ) -> tuple[RobustGain, Certificate]:
     """Return a gain with its certificate; `decay` [1/s] is the least rate, None: any (for kind "decay": the fastest).
 
@@ -77,7 +77,9 @@ def design(
     def hopeless(solution: RobustGain) -> bool:
         return kind == "decay" and solution.status == "optimal" and solution.cost >= 0
 
-    return solvers.solve_certified(ask, lambda solution: certify(solution, task, kind), where, least, hopeless, among)
+    return solvers.solve_certified(
+        ask, lambda solution: certify(solution, task, kind), where, least, hopeless, solver_names
+    )
 
 
 def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
@@ -119,9 +121,9 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
     n, q = len(S), len(C)
     P, Y, cost = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
     rules: list[cp.Constraint] = []
-    keep = P - Y @ C
+    P_YC = P - Y @ C
     for Phi, Q, T in zip(*task.maps.at_corners[:3], strict=True):
-        M, G = keep @ (Phi / S[:, None] * S), keep @ riccati.root(Q / S[:, None] / S)
+        M, G = P_YC @ (Phi / S[:, None] * S), P_YC @ riccati.root(Q / S[:, None] / S)
         if decay is not None or kind == "decay":
             N = np.exp((decay or 0.0) * T) * M
             rules.append(cp.bmat([[P, N.T], [N, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
@@ -173,8 +175,8 @@ def certify(solution: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
         rate = rate if np.isfinite(X).all() else float("nan")
     if kind == "hinf":
         inequality += "; sum |W e|^2 <= g^2 sum |noise|^2"
-        keep = np.eye(len(L)) - L @ task.C
-        B = np.stack([np.hstack([keep @ riccati.root(Q), -L @ riccati.root(task.R)]) for Q in maps.Q])
+        I_LC = np.eye(len(L)) - L @ task.C
+        B = np.stack([np.hstack([I_LC @ riccati.root(Q), -L @ riccati.root(task.R)]) for Q in maps.Q])
         g = error_bounds.gain_bound(F, B, task.W, P)
         numbers |= {"g": g}
         rate = rate if np.isfinite(g) else float("nan")

@@ -103,12 +103,12 @@ def require_visible(plant: SampledPlant, d: int, where: str, least: float = STAY
         *_, sizes, V = np.linalg.svd(np.vstack([Ad - mode * np.eye(len(Ad)), C]))
         if abs(mode) >= least and sizes[-1] < UNSEEN:
             v = plant.scale * V[-1].conj()
-            along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
+            direction = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
             kind = "a detectable" if least else "an observable"
             raise UserError(
                 f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} "
                 "of A^d (along "
-                f"[{along}]), expected {kind} pair for {purpose}; measure another output or change a delay."
+                f"[{direction}]), expected {kind} pair for {purpose}; measure another output or change a delay."
             )
 
 

@@ -49,9 +49,9 @@ def simulate(threshold: float, step: float, steps: int, seed: int, shift: bool =
     lowers the level by that, so that the result is that of the threshold in continuous time.
     """
     level = threshold - SHIFT * np.sqrt(step) if shift else threshold
-    moves = np.random.default_rng(seed).standard_normal(steps) * np.sqrt(step)
+    increments = np.random.default_rng(seed).standard_normal(steps) * np.sqrt(step)
     x, squares, count = 0.0, 0.0, 0
-    for move in moves.tolist():
+    for move in increments.tolist():
         after = x + move
         squares += (x * x + x * after + after * after) / 3 + step / 6  # mean of x^2 over the step, given its two ends
         x = after

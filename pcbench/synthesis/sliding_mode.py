@@ -42,7 +42,7 @@ class SlidingModeGains(NamedTuple):
 
 def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Certificate]:
     """Return the least gains with the decay rate alpha [1/s], and their certificate; raise the errors of `solve`."""
-    least = unknown_input.enough(alpha)
+    least = unknown_input.rate_to_certify(alpha)
     solution, certificate = solvers.solve_certified(
         lambda solver: solve(plant, alpha, where, solver), lambda solution: certify(solution, plant), where, least
     )

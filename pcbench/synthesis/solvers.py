@@ -81,7 +81,7 @@ def solve_certified(
     where: str,
     least: float = 0.0,
     hopeless: Callable[[F], bool] = lambda solution: False,
-    among: tuple[str, ...] = SOLVERS,
+    solver_names: tuple[str, ...] = SOLVERS,
 ) -> tuple[F, Certificate]:
     """Return the first solver's solution whose certificate has a margin above `least`, and the certificate.
 
@@ -92,7 +92,7 @@ def solve_certified(
     attempts: list[str] = []
     candidates: list[tuple[F, Certificate]] = []
     failure: DesignError | None = None
-    for solver in among:
+    for solver in solver_names:
         try:
             solution = solve(solver)
         except Impossible:

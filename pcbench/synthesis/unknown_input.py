@@ -91,11 +91,11 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
     fixed_modes = unmovable(plant)
     slowest = max((mode.real for mode in fixed_modes), default=-np.inf)
     if slowest >= -rate:
-        other = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
+        advice = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
             f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed_modes))}, "
             "expected each left of "
-            f"{-rate:.4g} 1/s; {other}measure other outputs."
+            f"{-rate:.4g} 1/s; {advice}measure other outputs."
         )
 
 
@@ -111,10 +111,10 @@ def proven_rate(A: Matrix, P: Matrix) -> float:
 def require_rate(certificate: Certificate, rate: float, where: str) -> Certificate:
     """Return the certificate with the required rate; raise DesignError if it certifies less."""
     numbers = dict(certificate.numbers) | {"rate_asked": rate}
-    return require_certified(certificate._replace(numbers=numbers), where, enough(rate))
+    return require_certified(certificate._replace(numbers=numbers), where, rate_to_certify(rate))
 
 
-def enough(rate: float) -> float:
+def rate_to_certify(rate: float) -> float:
     """Return the rate [1/s] that must be certified for a required rate: slightly less, as an optimum is on the boundary."""
     return rate * (1 - SHORT)
 
@@ -134,20 +134,20 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
         ("1, rank E = r", rank(E), r, "leave a repeated unknown input out"),
         ("1, rank(C E) = r", rank(product(C, E)), r, "measure what the unknown input moves at once"),
     )
-    for condition, got, expected, todo in ranks:
+    for condition, got, expected, advice in ranks:
         if got < expected:
             raise UserError(
-                f"{where}: Assumption {condition}, is not met: got rank {got}, expected {expected}; {todo}."
+                f"{where}: Assumption {condition}, is not met: got rank {got}, expected {expected}; {advice}."
             )
     counts = (
         (n > p, "n > p", f"{n} states and {p} outputs", "leave an output out"),
         (p >= m, "p >= m", f"{p} outputs and {m} inputs", "measure another output"),
         (p > r, "p > r", f"{p} outputs and {r} unknown inputs", "measure another output"),
     )
-    for holds, condition, counts_text, todo in counts:
+    for holds, condition, counts_text, advice in counts:
         if not holds:
             raise UserError(
-                f"{where}: Assumption 2, {condition}, is not met: got {counts_text}, expected {condition}; {todo}."
+                f"{where}: Assumption 2, {condition}, is not met: got {counts_text}, expected {condition}; {advice}."
             )
     for mode in unobservable(A, C):
         got = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1

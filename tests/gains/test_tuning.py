@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.gains import optimizers, parameters, tune
 from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
-from pcbench.gains.validation import against
+from pcbench.gains.validation import rejection_reason
 from pcbench.observers import OBSERVERS, entry_of
 
 SMALL = {"budget": 6, "training_seeds": (0, 16), "validation_seeds": (100, 140), "objective": "steady_rmse"}
@@ -87,7 +87,7 @@ JUDGED = Judgement(
     ],
 )
 def test_what_is_found_is_used_where_the_judging_runs_do_not_speak_against_it(changes, why):
-    said = against([JUDGED._replace(what="training"), JUDGED._replace(**changes)])
+    said = rejection_reason([JUDGED._replace(what="training"), JUDGED._replace(**changes)])
     assert said.startswith(why)
     assert bool(said) == bool(why)
 

@@ -78,7 +78,7 @@ def test_the_words_of_the_protocols_are_those_of_the_code():
         assert f"`{word}`" in TEXT or f"**{word}**" in TEXT
     assert "knows_schedule" in ObserverSpec._fields
     assert callable(options.tunable)
-    assert callable(options.way)
+    assert callable(options.method_option)
     for name in ("Gains", "Options", "design", "OBSERVER"):
         assert hasattr(sys.modules[OBSERVERS["model-only"].design.__module__], name)
 

@@ -47,7 +47,7 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
     model, links = PLANTS["odd"], links_of("odd", p, label, delays)
     found = [synthesis.Link(one.d, np.array(one.mask, float), one.F, one.K, one.V, one.W) for one in links]
     np.testing.assert_allclose(J, ref.jacobian(model, links), atol=1e-12 * np.abs(J).max())
-    np.testing.assert_allclose(synthesis.one_sample(found, model.C), J, atol=1e-12 * np.abs(J).max())
+    np.testing.assert_allclose(synthesis.sample_map(found, model.C), J, atol=1e-12 * np.abs(J).max())
     rate = max(ref.radius(one.F) ** (1 / one.d) for one in links)
     certificate = synthesis.certify(found, model.C, "test")
     assert certificate.margin == pytest.approx(1 - ref.radius(J), abs=1e-6)

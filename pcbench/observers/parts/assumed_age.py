@@ -49,8 +49,8 @@ class Memory(NamedTuple):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at xhat(0)."""
-    none = jnp.zeros_like(xhat0)
-    return Memory(sample_rate.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
+    zeros = jnp.zeros_like(xhat0)
+    return Memory(sample_rate.start(xhat0), ring(gains.room, xhat0), ring(gains.room, zeros), zeros, zeros)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -59,8 +59,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     feedthrough = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
-        then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
-        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + feedthrough[j])
+        x_then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_then) + feedthrough[j])
     is_used = arrival.mask & (k >= gains.first)
     e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
@@ -94,14 +94,14 @@ def gains_of(context: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, .
 
     With `back`, return those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
     """
-    none = np.zeros_like(K)
+    zeros = np.zeros_like(K)
     return Gains(
         model=sample_rate.model_of(context),
         step=step,
         every=np.asarray(back or 1),
         ages=np.array(ages),
-        here=K if back else none,
-        next=none if back else K,
+        here=K if back else zeros,
+        next=zeros if back else K,
         first=np.asarray(back or 0),
         room=np.zeros(max(context.reach, *ages, 1)),
     )

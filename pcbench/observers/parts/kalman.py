@@ -50,8 +50,8 @@ def covariance(
     P: Float[Array, "n n"], K: Float[Array, " n"], c: Float[Array, " n"], r: Float[Array, ""]
 ) -> Float[Array, "n n"]:
     """Return P after the use of a channel with the gain K."""
-    keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
-    return keep @ P @ keep.T + r * jnp.outer(K, K)
+    I_KC = jnp.eye(c.shape[0]) - jnp.outer(K, c)
+    return I_KC @ P @ I_KC.T + r * jnp.outer(K, K)
 
 
 def with_copy(P: Float[Array, "m m"], n: int) -> Float[Array, "joint joint"]:
@@ -59,15 +59,15 @@ def with_copy(P: Float[Array, "m m"], n: int) -> Float[Array, "joint joint"]:
     return jnp.tile(P[:n, :n], (2, 2))
 
 
-def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
+def pad_columns(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
     """Return C with columns of zeros, for a state of `size` entries, the last of which are copies."""
     return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
 def empty_stats() -> InnovationStats:
     """Return innovation statistics without a component."""
-    zero, none = jnp.zeros(()), jnp.zeros(0)
-    return InnovationStats(zero, zero, zero, zero, each=none, sigma=none)
+    zero, empty = jnp.zeros(()), jnp.zeros(0)
+    return InnovationStats(zero, zero, zero, zero, each=empty, sigma=empty)
 
 
 def add_innovation(
@@ -87,11 +87,11 @@ def add_innovation(
 
 
 class Linear(NamedTuple):
-    """A sensor linearised at `about`."""
+    """A sensor linearised at `z_lin`."""
 
     y: Float[Array, " q"]
     H: Float[Array, "q N"]
-    about: Float[Array, " N"]
+    z_lin: Float[Array, " N"]
 
 
 def by_slope(
@@ -101,7 +101,7 @@ def by_slope(
     value, total, R = nearest(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
-        nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.about), h @ P @ h + r
+        nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.z_lin), h @ P @ h + r
         total = add_innovation(total, nu, s, mask)
         K = gain(P @ h, s, mask)
         z, P = z + K * nu, covariance(P, K, h, r)

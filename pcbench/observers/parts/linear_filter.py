@@ -97,7 +97,7 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     free, P, _ = predict_posterior(gains, before, sample.taken)
     value, rejections, n = value_of(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
-    rows = kalman.wide(gains.C, free.shape[0])
+    rows = kalman.pad_columns(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, mask = rows[channel], R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
@@ -109,15 +109,15 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     return robust_update.after(before, free, P, sample.taken, rejections)
 
 
-def surprise(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
+def newest_innovation_stats(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the newest state `before`; empty for an older sample."""
-    there = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
-    return against(gains, there, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
+    prior = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
+    return innovation_stats(gains, prior, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
 
 
-def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
+def innovation_stats(gains: Gains, prior: Known, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the state at its sampling time, channel by channel."""
-    free, P, mask = there.mean, there.P, sample.mask
+    free, P, mask = prior.mean, prior.P, sample.mask
     value, total, R = value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], R[channel]
@@ -128,7 +128,7 @@ def against(gains: Gains, there: Known, sample: Measurement) -> InnovationStats:
     return total
 
 
-def read(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
+def signals_of(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
     """Return the estimated signals of the filter's states: the plant's states, and the unknown inputs."""
     n, r = gains.states.shape[0], gains.inputs.shape[0]
     xhat = z[:n]
@@ -140,7 +140,7 @@ def read(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
 
 def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
     """Return the present xhat, and the unknown inputs."""
-    return read(gains, memory.xhat)
+    return signals_of(gains, memory.xhat)
 
 
 def point(after: Known) -> Point:
@@ -153,8 +153,8 @@ jump = prediction.make_jump(update, point)
 
 
 def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
-    """Return the covariance of the signals that `read` returns, from the covariance P of the filter's states."""
-    T = jax.jacfwd(lambda z: read(gains, z))(memory.xhat)
+    """Return the covariance of the signals that `signals_of` returns, from the covariance P of the filter's states."""
+    T = jax.jacfwd(lambda z: signals_of(gains, z))(memory.xhat)
     return T @ P @ T.T
 
 
@@ -166,8 +166,8 @@ def newest(gains: Gains, memory: Memory) -> Known:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance: that at the newest sample used, propagated."""
     before = memory.buffer.before
-    none = Measurement(before.taken, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
-    memory, _ = prediction.restart(gains.motion, memory, now, none, before.taken)
+    empty_sample = Measurement(before.taken, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
+    memory, _ = prediction.restart(gains.motion, memory, now, empty_sample, before.taken)
     return spread(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
 
 
@@ -185,18 +185,20 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     memory, sample = prediction.restart(gains.motion, memory, now, sample, before.taken)
     buffer = memory.buffer
     if not buffer.samples.taken.shape[0]:
-        return surprise(gains, buffer.before, sample)
+        return newest_innovation_stats(gains, buffer.before, sample)
     first, n = buffer.before, gains.P0.shape[0]
 
     def copy(state: Known, sample: Measurement) -> Known:
-        there = predict_posterior(gains, state, sample.taken)
-        return state._replace(mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken)
+        prior = predict_posterior(gains, state, sample.taken)
+        return state._replace(mean=jnp.tile(prior.mean[:n], 2), P=kalman.with_copy(prior.P, n), taken=sample.taken)
 
     sample = sample._replace(mask=sample.mask & (sample.taken >= first.taken))
     marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))
-    wide = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
-    state = reorder_buffer.newest_with_copy(partial(update, gains), copy, buffer._replace(before=wide), marker)
-    return against(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
+    joint_posterior = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
+    state = reorder_buffer.newest_with_copy(
+        partial(update, gains), copy, buffer._replace(before=joint_posterior), marker
+    )
+    return innovation_stats(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
 
 
 FILTER = Observer(
@@ -232,12 +234,12 @@ def design(
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     mix, C, R = assumed_noise.independent(context, options.R, model.C, where)
-    moves = prediction.motion_of(model, context, restarts)
+    motion = prediction.motion_of(model, context, restarts)
     Q = linear.input_noise(model, q, context.dt, options.input_walk * inputs)
     Q[:n, :n] += assumed_noise.process(context, options.Q, where)
     noise = linear.noise_powers(model, Q, context.dt, context.ticks)
     gains = Gains(
-        motion=moves,
+        motion=motion,
         noise=noise,
         C=C,
         D=model.feedthrough,

@@ -155,21 +155,21 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
     return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
 
 
-def linearize_sensor(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+def linearize_sensor(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
     """Return output [q] and Jacobian [q, N] of a nonlinear sensor at z."""
     n = gains.C.shape[1]
 
     def output(z: Array) -> Array:
-        y = gains.sensor(there, z[:n], z[n:])
+        y = gains.sensor(sample_now, z[:n], z[n:])
         return y if gains.mix is None else gains.mix @ y
 
     return output(z), jax.jacfwd(output)(z)
 
 
-def linearize_output(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+def linearize_output(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
     """Return the predicted output [q] at z, and its Jacobian [q, N]."""
     if gains.sensor is not None:
-        return linearize_sensor(gains, there, z)
+        return linearize_sensor(gains, sample_now, z)
     C = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
     return C @ z, C
 
@@ -187,10 +187,10 @@ def nearest(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> F
     return y + value_of(gains, gains.residual(value, expected))
 
 
-def at_points(gains: Gains, there: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
+def at_points(gains: Gains, sample_now: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
     """Return a sensor's output at several z; outputs that wrap are within half a turn of the first one's."""
     n = gains.C.shape[1]
-    y = jax.vmap(lambda z: gains.sensor(there, z[:n], z[n:]))(points)
+    y = jax.vmap(lambda z: gains.sensor(sample_now, z[:n], z[n:]))(points)
     return jax.vmap(lambda y_i: nearest(gains, y_i, value_of(gains, y[0])))(y)
 
 

@@ -43,7 +43,7 @@ def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any
     return Field(default, json_schema_extra={TUNABLE: list(between or ())}, **how)
 
 
-def way(default: Any, **how: Any) -> Any:
+def method_option(default: Any, **how: Any) -> Any:
     """Return a field for the design method of the gains, which `pcbench design --gain` sets."""
     return Field(default, json_schema_extra={WAY: True}, **how)
 
@@ -85,8 +85,8 @@ def uniforms(words: UInt32[Array, "2"], kind: Array | int, tick: Array, shape: t
     key, zero = (words[0], words[1]), jnp.uint32(0)
     for number in (kind, tick):
         key = threefry(key, (zero, jnp.asarray(number).astype(jnp.uint32)))
-    many = math.prod(shape)
-    high, low = threefry(key, (jnp.zeros(many, jnp.uint32), jnp.arange(many, dtype=jnp.uint32)))
+    count = math.prod(shape)
+    high, low = threefry(key, (jnp.zeros(count, jnp.uint32), jnp.arange(count, dtype=jnp.uint32)))
     bits = (high.astype(jnp.uint64) << jnp.uint64(32)) | low.astype(jnp.uint64)
     return ((bits >> jnp.uint64(12)).astype(float) * 2.0**-52).reshape(shape)
 

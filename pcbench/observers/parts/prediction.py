@@ -96,8 +96,8 @@ def responses(motion: Motion, now: Now, since: Int[Array, ""], ticks: Int[Array,
         g = motion.Phi @ carry[0] + motion.Gamma @ now.past_u(now.tick - k)
         return g, jnp.where((ticks == k + 1)[:, None], g, carry[1])
 
-    none = jnp.zeros((ticks.shape[0], motion.Phi.shape[0]))
-    return lax.fori_loop(since, now.tick, tick, (none[0], none))[1]
+    zeros = jnp.zeros((ticks.shape[0], motion.Phi.shape[0]))
+    return lax.fori_loop(since, now.tick, tick, (zeros[0], zeros))[1]
 
 
 def restart(
@@ -142,9 +142,9 @@ def make_use(
         """Return the memory with g removed from the state before the samples; g starts again there."""
         before = memory.buffer.before
         ticks = jnp.append(samples.taken, measurement.taken)
-        same = ticks == point_of(before).taken
-        g = jnp.concatenate([samples.snapshot, measurement.snapshot[None]])[jnp.argmax(same)]
-        before = shift_estimates(before, jnp.where(jnp.any(same), g, 0.0))
+        is_same_tick = ticks == point_of(before).taken
+        g = jnp.concatenate([samples.snapshot, measurement.snapshot[None]])[jnp.argmax(is_same_tick)]
+        before = shift_estimates(before, jnp.where(jnp.any(is_same_tick), g, 0.0))
         return memory._replace(g=jnp.zeros_like(memory.g), buffer=memory.buffer._replace(before=before))
 
     return use

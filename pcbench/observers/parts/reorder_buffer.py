@@ -97,9 +97,9 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: 
     def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
         i, sample = row
         posterior, with_copy = update(state, sample), copy(state, sample)
-        has_sample, here = jnp.any(sample.mask), i == place
+        has_sample, is_copy = jnp.any(sample.mask), i == place
         return jax.tree.map(
-            lambda a, b, c: jnp.where(here, a, jnp.where(has_sample, b, c)), with_copy, posterior, state
+            lambda a, b, c: jnp.where(is_copy, a, jnp.where(has_sample, b, c)), with_copy, posterior, state
         ), None
 
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
@@ -110,8 +110,8 @@ def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTr
 
     def step(state: PyTree, sample: Measurement) -> tuple[PyTree, PyTree]:
         has_sample = jnp.any(sample.mask)
-        new = jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), update(state, sample), state)
-        return new, new
+        after = jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), update(state, sample), state)
+        return after, after
 
     return lax.scan(step, before, entries)
 
@@ -124,10 +124,10 @@ def _merge_sample(samples: Measurement, measurement: Measurement) -> tuple[Measu
 
     def merge(samples: Measurement, measurement: Measurement) -> tuple[Measurement, Measurement]:
         later = samples.taken > measurement.taken
-        stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
+        is_before, is_after = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
 
         def merge_leaf(a: Array, b: Array) -> Array:
-            s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
+            s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (is_before, is_after))
             return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
 
         entries = jax.tree.map(merge_leaf, samples, measurement)

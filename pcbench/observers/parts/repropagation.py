@@ -38,7 +38,7 @@ def prior(gains: Gains, xhat0: Float[Array, " n"]) -> Posterior:
     return Posterior(initial_augmented(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
-class Way(NamedTuple):
+class FilterFunctions(NamedTuple):
     """The functions of a filter."""
 
     tick: Callable[[Gains, Now, State], State]  # -> the state one tick later, under now.u
@@ -49,24 +49,24 @@ class Way(NamedTuple):
     spread: Callable[[Gains, State], Array] = lambda gains, state: state.P  # -> P[N, N]
 
 
-def observer(way: Way) -> Observer:
+def observer(functions: FilterFunctions) -> Observer:
     """Return the observer with these functions."""
 
     def propagate(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
-        end = lax.fori_loop(state.taken, until, lambda k, s: way.tick(gains, at(now, k), s), state)
+        end = lax.fori_loop(state.taken, until, lambda k, s: functions.tick(gains, at(now, k), s), state)
         return end._replace(taken=until)
 
     def use(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
             prior = propagate(gains, now, before, sample.taken)
-            return way.update(gains, at(now, sample.taken), prior, sample)
+            return functions.update(gains, at(now, sample.taken), prior, sample)
 
         return update
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
         """Return the memory at the prior."""
-        first = way.first(gains, xhat0)
-        return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 0), first, way.mean(gains, first))
+        first = functions.first(gains, xhat0)
+        return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 0), first, functions.mean(gains, first))
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Insert the arriving sample in order of sampling, and propagate the newest state to the present."""
@@ -75,7 +75,7 @@ def observer(way: Way) -> Observer:
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
             buffer, newest = reorder_buffer.replay(use(gains, now), memory.buffer, sample)
             present = propagate(gains, now, newest, now.tick)
-            return Memory(buffer, present, way.mean(gains, present))
+            return Memory(buffer, present, functions.mean(gains, present))
 
         return vmap_as_unit(apply)(memory, arrival)
 
@@ -83,8 +83,8 @@ def observer(way: Way) -> Observer:
         """Propagate the present state by one tick."""
 
         def advance(state: State) -> tuple[State, Array]:
-            later = way.tick(gains, now, state)
-            return later, way.mean(gains, later)
+            later = functions.tick(gains, now, state)
+            return later, functions.mean(gains, later)
 
         later, z = vmap_as_unit(advance)(memory.now)
         return memory._replace(now=later._replace(taken=now.tick + 1), z=z)
@@ -95,7 +95,7 @@ def observer(way: Way) -> Observer:
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
         """Return the present covariance."""
-        return vmap_as_unit(lambda state: way.spread(gains, state))(memory.now)
+        return vmap_as_unit(lambda state: functions.spread(gains, state))(memory.now)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample; empty if it is older than the newest sample."""
@@ -104,7 +104,7 @@ def observer(way: Way) -> Observer:
             before = reorder_buffer.newest(use(gains, now), memory.buffer)
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
             newest_sample = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
-            return way.expected(
+            return functions.expected(
                 gains, at(now, sample.taken), propagate(gains, now, before, sample.taken), newest_sample
             )
 

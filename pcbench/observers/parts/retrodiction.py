@@ -75,18 +75,18 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with the prior as past posteriors."""
     first, N = linear_filter.prior(gains, xhat0), gains.own.past.shape[0]
     n = first.mean.shape[0]
-    none = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
+    no_update = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
     past = Past(jnp.tile(first.mean, (N, 1)), jnp.tile(first.P, (N, 1, 1)), jnp.zeros(N, int))
-    return Memory(jnp.zeros(n), first.mean, first, none, past, jnp.asarray(0))
+    return Memory(jnp.zeros(n), first.mean, first, no_update, past, jnp.asarray(0))
 
 
 def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     """Update by a sample that is at least as new as the newest; channels of one tick count as one update."""
     before, same_tick = memory.posterior, sample.taken == memory.posterior.taken
-    there = linear_filter.predict_posterior(gains, before, sample.taken)
-    P = jnp.where(same_tick, memory.last.P, there.P)
+    prior = linear_filter.predict_posterior(gains, before, sample.taken)
+    P = jnp.where(same_tick, memory.last.P, prior.P)
     u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
-    value, mean, R = linear_filter.value_of(gains, sample), there.mean - P @ u, sample.variances(gains.R)
+    value, mean, R = linear_filter.value_of(gains, sample), prior.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
         b = c - U @ (P @ c)
@@ -94,13 +94,13 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
         nu = value[channel] - c @ (sample.snapshot + mean + P @ u)
         u = u + jnp.where(mask, b * nu / s, 0.0)
         U = U + jnp.where(mask, jnp.outer(b, b) / s, 0.0)
-    new = Posterior(*linear_filter.update(gains, before, sample)[:3])
+    posterior = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
     def shift(past: Array, entry: Array) -> Array:
         return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(entry, (1, *past.shape[1:]))]))
 
     past = Past(*(shift(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
-    return memory._replace(posterior=new, last=Last(P, u, U), past=past)
+    return memory._replace(posterior=posterior, last=Last(P, u, U), past=past)
 
 
 def backward(
@@ -116,11 +116,11 @@ def backward(
     noise = jnp.zeros(n) if zero else Q @ u
     vv = Q if zero else Q - Q @ U @ Q
     xv = Q - prior @ U @ Q
-    there = after(gains.own.back, age, P + vv - xv - xv.T)
-    there = after(gains.own.back, age, there.T)
+    P_sample = after(gains.own.back, age, P + vv - xv - xv.T)
+    P_sample = after(gains.own.back, age, P_sample.T)
     across = after(gains.own.back, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
-    joint = jnp.block([[P, across], [across.T, there]])
+    joint = jnp.block([[P, across], [across.T, P_sample]])
     value, total, R = linear_filter.value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), R[channel], sample.mask[channel]
@@ -138,23 +138,25 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         is_older = sample.taken < memory.posterior.taken
-        old = select_memory(
+        backward_memory = select_memory(
             is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
         )
         is_stored = sample.taken >= memory.past.taken[0]
-        new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
-        memory = select_memory(is_older, select_memory(is_stored, old, memory), new)
-        there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
-        return memory._replace(xhat=memory.g + there)
+        forward_memory = forward(
+            gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken))
+        )
+        memory = select_memory(is_older, select_memory(is_stored, backward_memory, memory), forward_memory)
+        free = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
+        return memory._replace(xhat=memory.g + free)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample that is used; empty if it is older than the stored posteriors."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         is_stored = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
         older = sample._replace(mask=sample.mask & is_stored, taken=jnp.minimum(sample.taken, memory.posterior.taken))
-        old = backward(gains, memory, older, retrodict(gains, memory, older.taken), zero)[1]
-        new = linear_filter.surprise(gains, memory.posterior, sample)
-        return select_memory(is_stored, old, new)
+        backward_stats = backward(gains, memory, older, retrodict(gains, memory, older.taken), zero)[1]
+        forward_stats = linear_filter.newest_innovation_stats(gains, memory.posterior, sample)
+        return select_memory(is_stored, backward_stats, forward_stats)
 
     return Observer(
         init,

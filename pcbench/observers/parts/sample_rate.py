@@ -20,13 +20,13 @@ from pcbench.protocols import Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
 
-def _inside(pole: float) -> float:
+def _require_stable(pole: float) -> float:
     if not -1 < pole < 1:
         raise ValueError("a pole inside the unit circle, between -1 and 1: at 0 errors vanish, near 1 they stay")
     return pole
 
 
-Pole = Annotated[float, AfterValidator(_inside)]  # of an observer's error, per step
+Pole = Annotated[float, AfterValidator(_require_stable)]  # of an observer's error, per step
 
 
 class SampledModel(NamedTuple):

@@ -80,8 +80,8 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
         J, n = memory.clones.shape
         slot = jnp.arange(J) == memory.made % J
         row = jnp.repeat(jnp.append(False, slot), n)
-        wide = jnp.tile(memory.P[:n], (J + 1, 1))
-        P = jnp.where(row[:, None], wide, memory.P)
+        P_rows = jnp.tile(memory.P[:n], (J + 1, 1))
+        P = jnp.where(row[:, None], P_rows, memory.P)
         P = jnp.where(row[None, :], jnp.tile(P[:, :n], (1, J + 1)), P)
         is_sampled = jnp.any(mask)
         return memory._replace(
@@ -103,14 +103,14 @@ def observer(gain: Gain) -> Observer:
             n, P = memory.xhat.shape[0], memory.P
             z = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)])
             slot = jnp.append(False, memory.taken == sample.taken)
-            near = jnp.repeat(slot.at[0].set(True), n)
+            pair_mask = jnp.repeat(slot.at[0].set(True), n)
             value, is_stored, R = linear_filter.value_of(gains, sample), jnp.any(slot), sample.variances(gains.R)
             for channel in range(gains.C.shape[0]):
                 c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
                 row = (slot[:, None] * c[None, :]).reshape(-1)
                 h = P @ row
                 s = row @ h + r
-                K = jnp.where(mask, gain(h, s, near), 0.0)
+                K = jnp.where(mask, gain(h, s, pair_mask), 0.0)
                 z = z + K * (value[channel] - row @ z)
                 P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
             return memory._replace(xhat=z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)

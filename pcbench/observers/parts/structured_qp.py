@@ -84,13 +84,13 @@ class Point(NamedTuple):
 def solve_bounded(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> Float[Array, "S N"]:
     """Return the most likely states within bounds, from a guess."""
     width = bounds.high - bounds.low
-    inside = jnp.where(jnp.isfinite(width), jnp.minimum(0.1 * width, bounds.size), bounds.size)
-    z = jnp.clip(guess, (bounds.low + inside)[None], (bounds.high - inside)[None])
+    margin = jnp.where(jnp.isfinite(width), jnp.minimum(0.1 * width, bounds.size), bounds.size)
+    z = jnp.clip(guess, (bounds.low + margin)[None], (bounds.high - margin)[None])
     is_bounded = [jnp.broadcast_to(jnp.isfinite(bound), z.shape) for bound in (bounds.low, bounds.high)]
     distances = [
         jnp.where(*pair, 1.0) for pair in zip(is_bounded, (z - bounds.low[None], bounds.high[None] - z), strict=True)
     ]
-    multipliers = (jnp.where(has, FIRST / far, 0.0) for has, far in zip(is_bounded, distances, strict=True))
+    multipliers = (jnp.where(has, FIRST / distance, 0.0) for has, distance in zip(is_bounded, distances, strict=True))
     first = Point(z, *distances, *multipliers)
     return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, is_bounded, at), first).z
 

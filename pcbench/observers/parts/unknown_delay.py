@@ -110,9 +110,9 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
     std = options.delay_std or (context.unknown_std[0] if is_unknown else max(0.5 * mean, dt))
     longest = round((options.longest or mean + 3 * std) / dt)
     if not 1 <= longest <= min(MOST, context.ticks):
-        most = min(MOST, context.ticks) * dt
+        limit = min(MOST, context.ticks) * dt
         raise UserError(
-            f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {most:g} s, "
+            f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {limit:g} s, "
             "over which every arrival propagates; write longest, or take a longer tick."
         )
     Phi, Gamma = linear.one_tick(model, dt)
@@ -140,7 +140,7 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
     )
 
 
-def read(gains: Gains, xhat: Array, delay: Array) -> Array:
+def signals_of(gains: Gains, xhat: Array, delay: Array) -> Array:
     """Return the estimated signals: the state, and the delay [s] if it is the plant's unknown."""
     return jnp.append(xhat, delay) if gains.estimated.shape[0] else xhat
 

@@ -35,7 +35,7 @@ from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 from pcbench.observers.parts.common import known_input, no_snapshot
-from pcbench.observers.parts.options import StrictOptions, way
+from pcbench.observers.parts.options import StrictOptions, method_option
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import DesignContext
 from pcbench.synthesis.unknown_input import Split
@@ -77,7 +77,7 @@ class Memory(NamedTuple):
 class Options(StrictOptions):
     """Options of both observers."""
 
-    gains: Literal["design", "paper"] = way("design", description="by LMI, or as published (for the arm)")
+    gains: Literal["design", "paper"] = method_option("design", description="by LMI, or as published (for the arm)")
     measurement: Literal["predict", "hold"] = Field("predict", description="output between samples: predicted, or held")
     reconstruct: bool = Field(False, description="use the estimated unknown input in the prediction to the present")
 
@@ -87,11 +87,11 @@ def observer(law: Injection) -> Observer:
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
         """Return the memory at xhat(0), as if its output had been measured."""
-        n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
+        n, zeros = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
         f = jnp.zeros(gains.push.shape[1])
         return Memory(
             xd=xhat0,
-            w=none,
+            w=zeros,
             y=gains.C @ xhat0,
             f=f,
             response=jnp.zeros(n),
@@ -115,8 +115,8 @@ def observer(law: Injection) -> Observer:
         z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
         v, w_rate = law(gains.law, gains.S @ z, memory.w)
         rate = gains.F @ z + gains.H @ now.past_u(gains.lag)
-        still = (jnp.zeros_like(a) for a in memory[3:])
-        return Memory(rate[:n] + gains.Lx @ v, w_rate, rate[n:], *still)
+        zeros = (jnp.zeros_like(a) for a in memory[3:])
+        return Memory(rate[:n] + gains.Lx @ v, w_rate, rate[n:], *zeros)
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         """Advance by one tick, with the held or predicted y."""

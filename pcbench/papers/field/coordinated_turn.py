@@ -34,8 +34,8 @@ def _root(square: "pd.Series[float]", printed: tuple[float, ...], claim: str, mo
     """Compare the root of the mean square over runs and steps with the printed ones; `square` is of each run."""
     root = np.sqrt(square.mean())
     error = square.sem() / (2 * root)  # of the root
-    away = max(abs(root - value) for value in printed) / (np.sqrt(2) * error)
-    summary = "; ".join(filter(None, (f"{root:.3g} +- {error:.2g}, {away:.1f} standard errors off at most", more)))
-    steady = f"within {3 if away < 3 else away:.0f} standard errors"
+    z_score = max(abs(root - value) for value in printed) / (np.sqrt(2) * error)
+    summary = "; ".join(filter(None, (f"{root:.3g} +- {error:.2g}, {z_score:.1f} standard errors off at most", more)))
+    steady = f"within {3 if z_score < 3 else z_score:.0f} standard errors"
     text = ", ".join(f"{value:g}" for value in printed)
-    return Claim(claim, text, summary, REPRODUCED if away < 3 else FALSE, steady, COMPUTED)
+    return Claim(claim, text, summary, REPRODUCED if z_score < 3 else FALSE, steady, COMPUTED)

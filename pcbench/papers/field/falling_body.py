@@ -29,12 +29,12 @@ def rows() -> list[Claim]:
     for observer, medians in MEDIANS.items():
         errors = np.abs([frame["altitude"] - frame[f"{observer}.altitude"] for frame in frames])  # [runs, times]
         low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75], axis=0)
-        away = np.abs(middle - medians) / (0.93 * (high - low) * np.sqrt(2 / RUNS))
+        z_scores = np.abs(middle - medians) / (0.93 * (high - low) * np.sqrt(2 / RUNS))
         text = ", ".join(f"{ours:.3g}" for ours in middle)
         claim = f"{observer}: median error of altitude at 10, 20, 30, 60 s, {RUNS} runs [ft]"
-        near = bool(away.max() < 3)
-        steady = "within 3 standard errors" if near else DRAWN
-        verdict = REPRODUCED if near else OPEN
-        summary = f"{text}{'' if near else f', {DRAWN}'}, at most {away.max():.1f} standard errors off"
+        agrees = bool(z_scores.max() < 3)
+        steady = "within 3 standard errors" if agrees else DRAWN
+        verdict = REPRODUCED if agrees else OPEN
+        summary = f"{text}{'' if agrees else f', {DRAWN}'}, at most {z_scores.max():.1f} standard errors off"
         out.append(Claim(claim, ", ".join(f"{ft:g}" for ft in medians), summary, verdict, steady, COMPUTED))
     return out

@@ -67,12 +67,12 @@ def rows() -> list[Claim]:
 def _mean(stats: pd.DataFrame, reference: Reference, runs: str, source: str) -> Claim:
     (row,) = stats[(stats.observer == reference.observer) & (stats.metric == reference.metric)].to_dict("records")
     error = np.hypot(row["se"], reference.error or row["se"])
-    away = abs(row["mean"] - reference.mean) / error
+    z_score = abs(row["mean"] - reference.mean) / error
     printed = f"{reference.mean:g}" + (f" +- {reference.error:g}" if reference.error else "")
-    text = f"{row['mean']:.3g} +- {row['se']:.2g}, {away:.1f} standard errors off"
+    text = f"{row['mean']:.3g} +- {row['se']:.2g}, {z_score:.1f} standard errors off"
     claim = f"{reference.observer}: {NAMES[reference.metric]}, {runs}"
-    steady = f"within {3 if away < 3 else away:.0f} standard errors"
-    return Claim(claim, printed, text, REPRODUCED if away < 3 else FALSE, steady, f"{source} [V]")
+    steady = f"within {3 if z_score < 3 else z_score:.0f} standard errors"
+    return Claim(claim, printed, text, REPRODUCED if z_score < 3 else FALSE, steady, f"{source} [V]")
 
 
 def _coverage() -> Iterator[Claim]:
@@ -87,11 +87,11 @@ def _coverage() -> Iterator[Claim]:
         frame = api.simulate(study, "ekf", seed=seed).iloc[1:51]
         shares.append(float(((frame["x"] - frame["ekf.x"]).abs() < 1.96 * frame["ekf.x.sigma"]).mean()))
     mean, spread = float(np.mean(shares)), float(np.std(shares, ddof=1))
-    near = abs(mean - COVERAGE) < TOLERANCE
+    agrees = abs(mean - COVERAGE) < TOLERANCE
     claim = "ekf: share of steps whose 95 % interval contains the state"
-    steady = f"within {TOLERANCE:g}" if near else f"{mean:.2f}"
+    steady = f"within {TOLERANCE:g}" if agrees else f"{mean:.2f}"
     text = f"{mean:.3f} over {COVERED_RUNS} runs, {spread:.2f} between runs"
-    yield Claim(claim, f"{COVERAGE:g}", text, REPRODUCED if near else FALSE, steady, f"{GORDON} [V]")
+    yield Claim(claim, f"{COVERAGE:g}", text, REPRODUCED if agrees else FALSE, steady, f"{GORDON} [V]")
     below = (mean - PRINTED_COVERAGE) / spread
     text = f"{text}: 0.3 is {below:.1f} standard deviations below, and the noise of the run is not printed"
     steady = "one run of a mean of about 0.48 and a standard deviation of about 0.13, whose noise is not printed"

@@ -221,11 +221,11 @@ def _bimodal() -> Iterator[Claim]:
     wrong = square(partial(ekf, system), x, y)
     learned = square(partial(estimates, system, train(system, LONG)), x, y)
     c = compare(learned, wrong)
-    near = abs(floor_mse / KNOWN_FLOOR - 1) < 0.01
+    agrees = abs(floor_mse / KNOWN_FLOOR - 1) < 0.01
     floor = f"{floor_mse:.5f} ({_db(floor_mse):.2f} dB) of {len(keys):,} runs"
     claim = "bimodal noise: mean square error of the filter with each variance"
-    steady = "within 1 %" if near else f"{floor_mse:.3f}"
-    yield Claim(claim, f"{KNOWN_FLOOR}", floor, REPRODUCED if near else FALSE, steady, f"{RECURSIVE} [V]")
+    steady = "within 1 %" if agrees else f"{floor_mse:.3f}"
+    yield Claim(claim, f"{KNOWN_FLOOR}", floor, REPRODUCED if agrees else FALSE, steady, f"{RECURSIVE} [V]")
     text = f"{wrong.mean():.4f} ({_db(wrong.mean()):.2f} dB) over {len(keys):,} runs"
     yield Claim("learned filter: bimodal noise: mean square error of the filter with variance 1", OURS, text, FINDING)
     text = f"mean square error {c.mean:.4f}, {_percent(c)} against the filter with variance 1"
