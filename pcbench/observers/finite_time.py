@@ -105,10 +105,8 @@ def design(context: DesignContext, options: Options) -> Design:
         raise UserError(
             f"{where}: got samples = {N}, expected at least {-(-n // q)} for {n} states and {q} outputs; give more."
         )
-    binary_maps = linear.doublings(model, context.dt, linear.bits_for(period))
-    matrices, certificate = finite_time.design(
-        linear.over(binary_maps, period), model.C, options.pole, options.ratio, N, where
-    )
+    Phi = linear.over(linear.doublings(model, context.dt, linear.bits_for(period)), period)
+    matrices, certificate = finite_time.design(Phi, model.C, options.pole, options.ratio, N, where)
     require_certified(certificate, where)
     gains = Gains(
         motion=prediction.motion_of(model, context),

@@ -134,9 +134,9 @@ def make_plant(
             f"{WHERE}: states: got {len(signals)} names, expected {len(x0)}, one for each state of the operating point."
         )
     if (field is None) == (step is None) or (step is None) != (tick is None):
-        raise UserError(
-            f"{WHERE}: got {_argument_names(field, step, tick)}, expected field, or step with its tick in seconds; give one."
-        )
+        arguments = {"field": field, "step": step, "tick": tick}
+        names = " and ".join(name for name, value in arguments.items() if value is not None) or "neither field nor step"
+        raise UserError(f"{WHERE}: got {names}, expected field, or step with its tick in seconds; give one.")
     output_signals = names_and_units(outputs, f"{WHERE}: outputs")
     numbers = NoNumbers() if numbers is None else numbers
     inputs, parameters = dict(unknown_inputs or {}), dict(unknown_parameters or {})
@@ -217,11 +217,6 @@ def _point(point: Sequence[object]) -> tuple[tuple[float, ...], tuple[float, ...
             f"{WHERE}: operating_point: got {brief_repr(point)}, expected at least one state and one input, all finite."
         )
     return x0, u0
-
-
-def _argument_names(field: Function | None, step: Function | None, tick: float | None) -> str:
-    names = [name for name, value in (("field", field), ("step", step), ("tick", tick)) if value is not None]
-    return " and ".join(names) or "neither field nor step"
 
 
 def _numbers(numbers: PyTree, inputs: Mapping[str, Range], parameters: Mapping[str, Range]) -> PyTree:

@@ -90,8 +90,7 @@ def at_the_mean(
     """Return L and its certificate at the mean period, by one of the first three methods."""
 
     def certify(solution: current_lmi.CurrentGain) -> Certificate:
-        sharp = sharpen(solution)
-        return current_lmi.certify(sharp, Phi, C, float(seconds[0]))
+        return current_lmi.certify(sharpen(solution), Phi, C, float(seconds[0]))
 
     def sharpen(solution: current_lmi.CurrentGain) -> current_lmi.CurrentGain:
         return current_lmi.sharpen(solution, Phi, C) if gain is None and method == "lmi" else solution
@@ -133,7 +132,7 @@ def _size(context: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
         L = riccati.current_gain(Phi, context.model.C, Q, R, context.scenario)
     except DesignError:
         return prior
-    I_LC = np.eye(len(Phi)) - L @ context.model.C
-    X = error_bounds.covariance(I_LC @ Phi, I_LC @ Q @ I_LC.T + L @ R @ L.T)
+    C = context.model.C
+    X = error_bounds.covariance(error_bounds.errors(L, C, Phi), error_bounds.noise(L, C, Q, R))
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior

@@ -71,7 +71,7 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
 
 def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
     """Return a given gain with P from M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
-    F = (np.eye(len(Phi)) - L @ C) @ Phi
+    F = error_bounds.errors(L, C, Phi)
     P = np.eye(len(Phi))
     if np.abs(np.linalg.eigvals(F)).max() < 1:
         with warnings.catch_warnings():
@@ -113,7 +113,7 @@ def certify(solution: CurrentGain, Phi: Matrix, C: Matrix, seconds: float) -> Ce
     `seconds` is the time from sample to sample, for the decay rate.
     """
     P, L = solution.P, solution.L
-    F = (np.eye(len(Phi)) - L @ C) @ Phi
+    F = error_bounds.errors(L, C, Phi)
     M = P @ F
     block = np.block([[P, M.T], [M, P]])
     margin = min(least_eigenvalue(block), least_eigenvalue(P))

@@ -12,6 +12,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import format_mode, rank
 from pcbench.errors import UserError
+from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 
 power = np.linalg.matrix_power
@@ -51,8 +52,7 @@ def sample_plant(context: DesignContext, observer: str, q: float | None = None) 
             f"{where}: got a model that grows by {fastest:.3g} a sample over a delay of {max(tau)} samples, expected less than "
             f"1e{GROWS:.0f} in all; shorten the delay."
         )
-    scale = np.sqrt(np.diag(context.P0))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = riccati.prior_size(context)
     sizes = np.linalg.norm(model.C * scale, axis=1)
     R = context.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
