@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FEW = 6  # largest array in a row of a trade-off
-NOTHING = 1e-15  # relative to an array's largest entry; smaller entries are 0
-BACK = 0.999  # fraction of a decay rate that is required of a gain given as a number, because it barely has that rate
+ZERO_TOL = 1e-15  # relative to an array's largest entry; smaller entries are 0
+RATE_FRACTION = 0.999  # of a decay rate: required of a gain given as a number, because it barely has that rate
 HIDDEN = ("P", "P1", "P2", "shared_P")  # numbers of a certificate that a trade-off does not show
 
 
@@ -154,7 +154,7 @@ def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> T
         if name not in design.certificate.numbers or not is_open or extra(field).get(WAY):
             continue
         number = np.asarray(design.certificate.numbers[name], float)
-        number = np.where(np.abs(number) < NOTHING * np.abs(number).max(initial=0.0), 0.0, number)
+        number = np.where(np.abs(number) < ZERO_TOL * np.abs(number).max(initial=0.0), 0.0, number)
         for value in (number.tolist(), *([number.item()] if number.size == 1 else [])):
             try:
                 model.model_validate(options.model_dump() | {name: value})
@@ -166,7 +166,7 @@ def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> T
 
 def _recertify(study: Study, cell: Cell, observer: str, options: TomlTable) -> TomlTable | None:
     """Return the options with the largest decay that can be certified for these numbers; None if they are refused."""
-    slow_candidates = [options | {"decay": BACK * options["decay"]}] if options.get("decay") else []
+    slow_candidates = [options | {"decay": RATE_FRACTION * options["decay"]}] if options.get("decay") else []
     for candidate in (*slow_candidates, {k: v for k, v in options.items() if k != "decay" or not v}):
         try:
             explicit = replace_options(study.model_copy(update={"options": {}}), observer, candidate)

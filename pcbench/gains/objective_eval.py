@@ -33,8 +33,8 @@ Evaluate = Callable[[Vector], tuple[float, Vector]]
 SQUARES = {"mse": ("square", 0), "steady_mse": ("square", 1)}
 SIZES = {"mae": ("absolute", 0), "steady_mae": ("absolute", 1)}
 SUMS = SQUARES | SIZES  # field of `moments.error_sums`, and index: 0 over the horizon, 1 over the steady part
-OFFERED = (*SUMS, *POOLED)
-INSTEAD = "leave exact out, and it is tuned on runs"
+EXACT_METRICS = (*SUMS, *POOLED)
+ADVICE = "leave exact out, and it is tuned on runs"
 
 
 def check_estimates(p: Plan, aim: Objective, where: str) -> None:
@@ -104,11 +104,11 @@ def evaluator(
 
 def require_exact_value(aim: Objective, where: str) -> None:
     """Raise UserError if a metric never has an exact value."""
-    if aim.metric not in OFFERED:
+    if aim.metric not in EXACT_METRICS:
         reason = stats_rows.RUNS_ONLY.get(aim.metric, "it is of runs alone")
         raise UserError(
             f"{where}: --objective: got {aim.metric}, which has no exact value ({reason}), expected one of "
-            f"{', '.join(OFFERED)}; write one of them, or {INSTEAD}."
+            f"{', '.join(EXACT_METRICS)}; write one of them, or {ADVICE}."
         )
 
 
@@ -119,12 +119,12 @@ def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     if realisation is None:
         raise UserError(
             f"{where}: exact: got runs with different schedules or plants, expected the same for all runs, as a gradient "
-            f"is for one schedule; {INSTEAD}."
+            f"is for one schedule; {ADVICE}."
         )
     if aim.metric in SIZES and (realisation.layout.scattered or realisation.chance < 1):
         raise UserError(
             f"{where}: --objective: got {aim.metric} of an error that is not normal (a start in a box, or a mixture over "
-            f"losses), expected one of {', '.join((*SQUARES, *POOLED))}; write one of them, or {INSTEAD}."
+            f"losses), expected one of {', '.join((*SQUARES, *POOLED))}; write one of them, or {ADVICE}."
         )
     return realisation
 
@@ -146,7 +146,7 @@ def exact_evaluator(
             moments = call(design(point), optimizers.directions(design, point))
         except (UserError, ValidationError):  # the design refuses, or the option is invalid
             return failure
-        if reason := refusal(moments.cell, p.labels[0], INSTEAD):
+        if reason := refusal(moments.cell, p.labels[0], ADVICE):
             if not points:
                 raise UserError(f"{where}: exact: {reason}")
             return failure

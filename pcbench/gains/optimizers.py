@@ -30,7 +30,7 @@ from pcbench.simulation.types import GridPointParams
 
 FIRST = 0.1  # length of the first step, in free parameters
 LONGEST = 1.0  # initial limit of a step's length; it doubles after a successful step of that length
-ENOUGH = 1e-4  # required decrease, relative to that of the gradient
+ARMIJO = 1e-4  # required decrease, relative to that of the gradient
 SMALLEST = 1e-9  # least length of a step, in free parameters
 SPREAD = 0.25  # initial edges of the simplex
 Ask = Callable[[Vector], tuple[float, Vector]]  # -> value and gradient; infinite if a point is refused
@@ -53,7 +53,7 @@ def descent(ask: Ask, start: Vector, budget: int) -> None:
         step, has_trial, full_step = step * shrink, False, True
         while evaluations_left > 0 and np.linalg.norm(step) > SMALLEST:
             candidate, evaluations_left, has_trial = ask(at + step), evaluations_left - 1, True
-            if candidate[0] <= value + ENOUGH * (slope @ step) and np.isfinite(candidate[1]).all():
+            if candidate[0] <= value + ARMIJO * (slope @ step) and np.isfinite(candidate[1]).all():
                 break
             step, full_step = step / 2, False
         else:

@@ -22,10 +22,10 @@ from pcbench.protocols import Leaf
 from pcbench.toml_text import TomlTable
 
 Vector = NDArray[np.float64]
-NOTHING = 1e-15  # relative to a matrix's size; smaller entries are 0
-MOVED, SAME = 0.1, 1e-9  # step of a parameter; relative change below which gains do not depend on it
+ZERO_TOL = 1e-15  # relative to a matrix's size; smaller entries are 0
+PERTURBATION, SAME = 0.1, 1e-9  # step of a parameter; relative change below which gains do not depend on it
 LEAST = 1e-12  # start of a positive number whose default is 0
-CLIPPED = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # range of the logarithm of a standard deviation
+LOG_RANGE = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # range of the logarithm of a standard deviation
 
 
 class NothingFree(UserError):
@@ -121,7 +121,7 @@ def sensitive_names(free: list[Free], at: Vector, gains: Callable[[Vector], list
     nominal, out = gains(at), []
     for f in free:
         try:
-            variation = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+            variation = gains(at + PERTURBATION * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
         except (UserError, ValidationError):  # refused, so the gains depend on it
             out.append(f.name)
             continue
@@ -160,9 +160,9 @@ def _to_bounded(z: Vector, f: Free) -> Vector:
         i, j = np.tril_indices(f.shape[0])
         L = np.zeros(f.shape)
         L[i, j] = np.where(i == j, 1.0, z)
-        L *= np.exp(np.clip(z[i == j], *CLIPPED))[:, None]
+        L *= np.exp(np.clip(z[i == j], *LOG_RANGE))[:, None]
         return L @ L.T
-    return np.where(np.abs(z) < NOTHING, 0.0, z * f.scale)
+    return np.where(np.abs(z) < ZERO_TOL, 0.0, z * f.scale)
 
 
 def _to_unbounded(value: Vector, f: Free) -> Vector:

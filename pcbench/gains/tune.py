@@ -14,7 +14,7 @@ from pcbench.dataset import storage
 from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.errors import UserError
 from pcbench.gains import history, objective_eval, optimizers, parameters
-from pcbench.gains.design import BACK, replace_options
+from pcbench.gains.design import RATE_FRACTION, replace_options
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
@@ -105,7 +105,9 @@ def tune(
         start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
-            study, cell = parse.one_cell(replace_options(study, observer, {"decay": BACK * decay}), [observer], [])
+            study, cell = parse.one_cell(
+                replace_options(study, observer, {"decay": RATE_FRACTION * decay}), [observer], []
+            )
         options, entry = cell.options[observer], cell.entry(observer)
         free, start = free_parameters(observer, entry, context, options, start_design, only, where)
 

@@ -44,7 +44,7 @@ from pcbench.observers.parts.nonlinear_model import (
     value_of,
 )
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
-from pcbench.observers.parts.robust_update import Known
+from pcbench.observers.parts.robust_update import AnyPosterior
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -71,7 +71,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
 
 
-def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
+def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
     z, P = predict_joint(gains, now, before, sample.taken)
     if gains.sensor is not None:
@@ -91,7 +91,9 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
 
 
-def by_slope(gains: Gains, sample_now: Now, before: Known, sample: Measurement) -> tuple[Array, Array, list[Array]]:
+def by_slope(
+    gains: Gains, sample_now: Now, before: AnyPosterior, sample: Measurement
+) -> tuple[Array, Array, list[Array]]:
     """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
     z = prior = before.mean
     P, rejections, R = before.P, [], sample.variances(gains.R)
@@ -131,7 +133,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
     return memory.z
 
 
-def newest(gains: Gains, memory: Memory, now: Now) -> Known:
+def newest(gains: Gains, memory: Memory, now: Now) -> AnyPosterior:
     """Return mean and covariance at the newest sample used."""
     return reorder_buffer.newest(lambda state, sample: update(gains, now, state, sample), memory.buffer)
 
@@ -147,7 +149,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     first, N = buffer.before, gains.P0.shape[0]
     mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
 
-    def copy(state: Known, sample: Measurement) -> Known:
+    def copy(state: AnyPosterior, sample: Measurement) -> AnyPosterior:
         z, P = predict_joint(gains, now, state, sample.taken)
         return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), taken=sample.taken)
 

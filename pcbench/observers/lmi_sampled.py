@@ -29,8 +29,8 @@ from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 from pcbench.synthesis.held_lmi import HeldTask
 from pcbench.synthesis.parameter_ranges import Range
 
-MOST = 64  # corners of the LMI
-SAME = 1e-9  # relative tolerance for a model that is affine in its parameters
+MAX_CORNERS = 64  # corners of the LMI
+AFFINE_TOL = 1e-9  # relative tolerance for a model that is affine in its parameters
 
 
 class Options(StrictOptions):
@@ -87,9 +87,9 @@ def task_of(context: DesignContext, options: Options, where: str) -> HeldTask:
         for period, delay in zip(periods, delays, strict=True)
     )
     corners = corner_models(context, options.parameter_range or {}, where)
-    if len(corners) * 2 ** len(longest) > MOST:
+    if len(corners) * 2 ** len(longest) > MAX_CORNERS:
         raise UserError(
-            f"{where}: got {len(corners)} corners of parameters and {len(longest)} clocks, which are more than {MOST} "
+            f"{where}: got {len(corners)} corners of parameters and {len(longest)} clocks, which are more than {MAX_CORNERS} "
             "corners of the LMI; leave a parameter or a sensor out."
         )
     return HeldTask(corners, context.model.C, clocks, longest, options.decay)
@@ -105,7 +105,7 @@ def corner_models(context: DesignContext, parameters: dict[str, list[float]], wh
 
     corners = np.stack([model(values) for values in itertools.product(*parameters.values())])
     middle = model(tuple((low + high) / 2 for low, high in parameters.values()))
-    if np.abs(corners.mean(0) - middle).max() > SAME * np.abs(corners).max():
+    if np.abs(corners.mean(0) - middle).max() > AFFINE_TOL * np.abs(corners).max():
         raise UserError(
             f"{where}: got a parameter_range of {', '.join(parameters)}, in which A is not affine, expected parameters "
             "in which it is; give a range of other parameters."

@@ -42,7 +42,7 @@ from pcbench.observers.parts.structured_qp import Bounds, Chain
 from pcbench.protocols import Now, Room
 from pcbench.synthesis.certificate import Design, DesignContext
 
-USUAL = 10  # samples of a window, by default
+DEFAULT_WINDOW = 10  # samples of a window, by default
 
 
 class Horizon(NamedTuple):
@@ -192,7 +192,7 @@ def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError for a window longer than a run, or for bounds that exclude xhat0."""
     where = f"mhe in {context.scenario}"
     longest = sum(context.ticks // period + 1 for period in context.period)
-    window = min(USUAL, longest) if options.window is None else options.window
+    window = min(DEFAULT_WINDOW, longest) if options.window is None else options.window
     if window > longest:
         raise UserError(
             f"{where}: got a window of {window} samples, longer than the horizon, in which {longest} are taken; expected "

@@ -35,7 +35,7 @@ from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 FILTERS = 21  # default number of delays, evenly spaced from 0 to the longest
-MOST = 200  # delays
+MAX_DELAYS = 200  # delays
 
 
 class Filters(NamedTuple):
@@ -183,6 +183,8 @@ def design(context: DesignContext, options: Options) -> Design:
         raise UserError(
             f"{where}: delays: got {ticks[0] * dt:g} to {ticks[-1] * dt:g} s, expected 0 to the longest, {longest * dt:g} s."
         )
-    if len(ticks) > MOST:
-        raise UserError(f"{where}: delays: got {len(ticks)} filters, expected at most {MOST}; write fewer delays.")
+    if len(ticks) > MAX_DELAYS:
+        raise UserError(
+            f"{where}: delays: got {len(ticks)} filters, expected at most {MAX_DELAYS}; write fewer delays."
+        )
     return Design(gains._replace(own=ticks), no_certificate("the weights are not linear in the measurements"))

@@ -33,7 +33,7 @@ from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
 from pcbench.synthesis.certificate import Design, DesignContext
 
-NOTHING = 1e-14  # relative size of a remaining variance that counts as rounding error
+VARIANCE_TOL = 1e-14  # relative size of a remaining variance that counts as rounding error
 
 
 class Points(NamedTuple):
@@ -59,7 +59,7 @@ def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
     def column(remainder: Array, e: Array) -> tuple[Array, Array]:
         v = remainder @ e
-        positive = e @ v > NOTHING * (e @ size)
+        positive = e @ v > VARIANCE_TOL * (e @ size)
         out = jnp.where(positive, v / jnp.sqrt(jnp.where(positive, e @ v, 1.0)), 0.0)
         return remainder - jnp.outer(out, out), out
 

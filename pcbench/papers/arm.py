@@ -70,7 +70,7 @@ STEADY = {"digits": HOW["close"], "close": HOW["close"], "band": AMONG}  # PIO's
 WHERE = "reproduce arm"
 NEAR = 2.0  # largest deviation of a printed gain from its optimum, in per cent of the largest entry: their solver's accuracy
 SHORT_OF = 0.5  # largest deviation of an objective, in per cent
-ROUNDED = 5e-3  # relative loss of the rate by rounding to four decimals
+ROUNDING = 5e-3  # relative loss of the rate by rounding to four decimals
 PARTS = {
     "A11": "0 0 3.7500 0.0013",
     "A12": "0 1.0000 3.7500 0",
@@ -265,7 +265,7 @@ def _gains() -> Iterator[Claim]:
     yield _objective("PIO gains: least g of (38), (52) with the printed L1", numbers["g"], optimum.g)
     for name in ("KP", "KI"):
         yield _compare_matrix(f"PIO {name}", getattr(pio.PRINTED, name), getattr(optimum, name))
-    rate, short = f"{numbers['rate_proven']:.6f} 1/s", numbers["rate_proven"] > 1 - ROUNDED
+    rate, short = f"{numbers['rate_proven']:.6f} 1/s", numbers["rate_proven"] > 1 - ROUNDING
     yield statement("PIO gains certify beta = 1, except for rounding", "1", rate, bool(short))
     least_g = pi_lmi.solve(plant, best.L1, 1.0, WHERE).g
     yield report_finding("PIO: least g with the optimal L1", f"{least_g:.6g}")
@@ -307,7 +307,7 @@ def _part_claims() -> Iterator[Claim]:
     beta = pi_lmi.certify(pio.PRINTED, plant, smo.PRINTED.L1).numbers["rate_proven"]
     largest = float(np.linalg.eigvalsh(P).min())
     text = f"positive definite (least eigenvalue {largest:.4f}), certifies {beta:.4f} 1/s with KP, KI"
-    yield statement("PIO P", "a certificate", text, largest > 0 and bool(beta > 1 - ROUNDED))
+    yield statement("PIO P", "a certificate", text, largest > 0 and bool(beta > 1 - ROUNDING))
 
 
 def _constants() -> Iterator[Claim]:

@@ -22,7 +22,7 @@ REPRODUCED, MISPRINT, FALSE, OPEN = "reproduced", "misprint", "does not hold", "
 VERDICTS = (REPRODUCED, MISPRINT, FALSE, OPEN)
 FINDING = "finding"
 NOT_OBTAINED = "not obtained"
-OURS = "not in the paper"
+NOT_IN_PAPER = "not in the paper"
 TINY = 1e-12
 NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
@@ -46,7 +46,7 @@ def counts(rows: Iterable[Claim]) -> dict[str, int]:
 
 def report_finding(claim: str, text: str, steady: str = "") -> Claim:
     """Return a result that the paper does not contain."""
-    return Claim(claim, OURS, text, FINDING, steady)
+    return Claim(claim, NOT_IN_PAPER, text, FINDING, steady)
 
 
 def statement(claim: str, printed: str, reproduced: str, true: bool, steady: str = "") -> Claim:

@@ -35,7 +35,7 @@ from pcbench.study import Study, options_of
 from pcbench.study.grid import cell_of
 
 SEEDS = 1024
-ALIKE = 1e-5  # smallest tail error that counts: smaller ones are not resolved on the cart
+NEGLIGIBLE = 1e-5  # smallest tail error that counts: smaller ones are not resolved on the cart
 CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
 STEADY = SCENARIOS[
     "cart/variable"
@@ -116,9 +116,9 @@ def _ordering() -> Iterator[Claim]:
         result = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
         for signal, unit in (("position", "m"), ("velocity", "m/s")):
             rows = _tail_rms(result, signal)
-            alike = max(rows.values()) < ALIKE
+            alike = max(rows.values()) < NEGLIGIBLE
             rms_text = f"pco {rows['pco']:.5f}, pi-pco {rows['pi-pco']:.5f} {unit} (steady rms)"
-            text = f"both below {ALIKE:g} {unit}: negligible" if alike else rms_text
+            text = f"both below {NEGLIGIBLE:g} {unit}: negligible" if alike else rms_text
             gains = f"Kp = {Kp:g}, Ki = {Ki:g}: {description}"
             claim = f"PI-PCO better than PCO in {signal} under noise, variable intervals; {gains}"
             yield statement(claim, "better", text, bool(rows["pi-pco"] < rows["pco"]) and not alike)

@@ -67,7 +67,7 @@ STOICHIOMETRY = (
         ]
     )
 )
-MADE = [0, 1, 2, 3, 8]  # states with rows in it
+REACTION_STATES = [0, 1, 2, 3, 8]  # states with rows in it
 DECAY = {4: 0.18, 6: 0.77, 7: 0.05, 8: -1.0}  # products per gram of dead biomass
 RHO, RT_CH4, RT_CO2 = 1000.0, 0.08315 * 273.15 / 16, 0.08315 * 273.15 / 44  # g/L, bar L/g at 0 degrees Celsius
 FAST = (0, 1, 10, 11)  # the states whose slopes a step uses
@@ -117,7 +117,7 @@ def linear_part(n: Numbers) -> Matrix:
     out = np.zeros((12, 12))
     rates = np.array([n.kF, n.kS, n.kp, n.kl])
     for j, rate in enumerate(rates):
-        out[MADE, 4 + j] += STOICHIOMETRY[:, j] * rate
+        out[REACTION_STATES, 4 + j] += STOICHIOMETRY[:, j] * rate
         out[4 + j, 4 + j] -= rate
     for i, share in DECAY.items():
         out[i, 8] += share * n.kd

@@ -22,7 +22,7 @@ from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
 from pcbench.value_cache import cached_by_value
 
-MOST = 12  # largest default number of links
+MAX_LINKS = 12  # largest default number of links
 DENSE = 300  # rows of a map from which on the largest eigenvalue alone is computed
 WHAT = "radius of the links' error maps over one sampling period < 1"
 
@@ -108,7 +108,7 @@ def design(
     Raises:
         DesignError: no number of links that was tried is certified.
     """
-    counts = range(1, min(MOST, max(delay, 1)) + 1) if m is None else [m]
+    counts = range(1, min(MAX_LINKS, max(delay, 1)) + 1) if m is None else [m]
     for count in counts:
         time_constant = max(3.0 * max(divide(delay, count)), 1.5 * period)
         K = gain(Phi, C, np.exp(-1 / time_constant) if decay is None else decay, where)

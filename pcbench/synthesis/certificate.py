@@ -13,7 +13,7 @@ import numpy as np
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
 
-SHORT = 1e-5  # relative tolerance of a certified rate, because an optimum is on the boundary
+RATE_TOL = 1e-5  # relative tolerance of a certified rate, because an optimum is on the boundary
 UNCERTIFIED = "uncertified"  # a status
 NO_GAIN = "none: no gain"  # an inequality, of an observer without gains
 NO_NOISE = 1e-12  # variance of a sample in a scenario without measurement noise

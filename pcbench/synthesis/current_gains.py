@@ -113,7 +113,9 @@ def at_the_mean(
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
     """Return the certificate of a gain over a range, at a rate [1/s]."""
     F = error_bounds.errors(L, C, maps.Phi)
-    fastest = float((-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.LEAST)) / maps.seconds).min())
+    fastest = float(
+        (-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.MIN_FACTOR)) / maps.seconds).min()
+    )
     if not decay < fastest:
         raise DesignError(
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "

@@ -29,8 +29,8 @@ from pcbench.dynamics.observability import rank
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
-SAME = 1e-5  # tolerance within which a gain attains a solver's optimum t
-FLAT = 1e-9  # least eigenvalue of P - t I relative to the largest; smaller ones are raised to it
+OPTIMUM_TOL = 1e-5  # tolerance within which a gain attains a solver's optimum t
+MIN_EIGENVALUE = 1e-9  # least eigenvalue of P - t I relative to the largest; smaller ones are raised to it
 
 
 class CurrentGain(NamedTuple):
@@ -85,23 +85,23 @@ def sharpen(solution: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
     """Return the unique gain of the module's docstring; an answer that it cannot reproduce is returned as it is."""
     L, I, margin = closed_form(Phi, C), np.eye(len(Phi)), lmi_margin(solution, Phi, C)
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
-    if t > margin - SAME:
+    if t > margin - OPTIMUM_TOL:
         return solution._replace(P=I, L=L, t=t)
     least = solution._replace(L=least_norm(solution, Phi, C)) if np.isfinite(margin) else solution
-    return least if lmi_margin(least, Phi, C) > margin - SAME else solution
+    return least if lmi_margin(least, Phi, C) > margin - OPTIMUM_TOL else solution
 
 
 def least_norm(solution: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
     """Return the gain of least norm that attains t with P: Phi D^-1 c (c' D^-1 c)^-1, D = P - t I."""
     size, V = np.linalg.eigh(solution.P - solution.t * np.eye(len(Phi)))
-    root = V / np.sqrt(np.maximum(size, FLAT * size.max()))  # D^-1 = root root'
+    root = V / np.sqrt(np.maximum(size, MIN_EIGENVALUE * size.max()))  # D^-1 = root root'
     return np.asarray(Phi @ root @ np.linalg.pinv(C @ Phi @ root), float)
 
 
 def lmi_margin(solution: CurrentGain, Phi: Matrix, C: Matrix) -> float:
     """Return the t that an answer attains, independent of its status; minus infinity for wrong shapes."""
     P, L = np.asarray(solution.P, float), np.asarray(solution.L, float)
-    if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:
+    if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -OPTIMUM_TOL:
         return -np.inf
     M = P @ (np.eye(len(P)) - L @ C) @ Phi
     return least_eigenvalue(np.block([[P, M.T], [M, P]]))

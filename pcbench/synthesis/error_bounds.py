@@ -16,10 +16,10 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
-GONE = 12.0  # an error that decays by e^-12 counts as zero
-NONE = 1e300  # no bound
+ZERO_EXPONENT = 12.0  # an error that decays by e^-12 counts as zero
+NO_BOUND = 1e300  # no bound
 DOUBLINGS = 60  # of the number of terms in a sum; enough for a spectral radius of 1 - 1e-16
-LEAST = 1e-150  # least factor e^{-rate T}, so that deadbeat errors have a finite rate
+MIN_FACTOR = 1e-150  # least factor e^{-rate T}, so that deadbeat errors have a finite rate
 
 
 def errors(L: Matrix, C: Matrix, Phi: Matrix) -> Matrix:
@@ -34,12 +34,12 @@ def rate(F: Matrix, P: Matrix, seconds: Matrix) -> float:
     except np.linalg.LinAlgError:
         return float("nan")
     factors = np.linalg.norm(U @ F @ np.linalg.inv(U), 2, axis=(1, 2))
-    return float((-np.log(np.maximum(factors, LEAST)) / seconds).min())
+    return float((-np.log(np.maximum(factors, MIN_FACTOR)) / seconds).min())
 
 
 def require_slower(rate: float, seconds: Matrix, where: str) -> None:
     """Raise UserError for a rate [1/s] at which an error decays below e^-12 within some interval [s]."""
-    limit = GONE / float(np.max(seconds))
+    limit = ZERO_EXPONENT / float(np.max(seconds))
     if rate > limit:
         raise UserError(
             f"{where}: got a decay of {rate:g} 1/s, expected {limit:.3g} at most over intervals of {np.max(seconds):g} s, "
@@ -49,7 +49,7 @@ def require_slower(rate: float, seconds: Matrix, where: str) -> None:
 
 def rate_of(factor: float, seconds: float) -> float:
     """Return the decay rate [1/s] of errors that are multiplied by `factor` every `seconds`."""
-    return -math.log(max(factor, LEAST)) / seconds
+    return -math.log(max(factor, MIN_FACTOR)) / seconds
 
 
 def noise(L: Matrix, C: Matrix, Q: Matrix, R: Matrix) -> Matrix:
@@ -102,7 +102,7 @@ def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
         S = np.exp(exponent) * P
         room = S - W.T @ W - Ft @ S @ F
         if not np.linalg.eigvalsh(room).min() > 0:
-            return NONE
+            return NO_BOUND
         back = Ft @ S @ B
         return float(np.linalg.eigvalsh(Bt @ S @ B + back.transpose(0, 2, 1) @ np.linalg.solve(room, back)).max())
 
@@ -110,4 +110,4 @@ def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
         return float("nan")
     start = np.log(float(eigh(W.T @ W, P, eigvals_only=True)[-1]))
     minimum = minimize_scalar(square, bounds=(start - 1, start + 12), method="bounded", options={"xatol": 1e-9})
-    return float(np.sqrt(minimum.fun)) if minimum.fun < NONE else float("nan")
+    return float(np.sqrt(minimum.fun)) if minimum.fun < NO_BOUND else float("nan")

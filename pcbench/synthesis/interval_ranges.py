@@ -24,7 +24,7 @@ from pcbench.synthesis import common_lyapunov
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import ErrorMaps
 
-SHOWN = 25  # intervals that a solver sees
+SOLVER_INTERVALS = 25  # intervals that a solver sees
 CELLS = 400  # cells of the range
 
 
@@ -58,14 +58,14 @@ def jump_gain(A: Matrix, C: Matrix, low: float, high: float, where: str) -> Matr
 
     The margin of the LMI is as large as possible. `certify` proves the gain over the whole range.
     """
-    seconds = np.linspace(low, high, SHOWN)
+    seconds = np.linspace(low, high, SOLVER_INTERVALS)
     Phi = np.stack([expm(A * s) for s in seconds])
     return common_lyapunov.solve(ErrorMaps(Phi, seconds, C @ Phi), 0.0, where).G
 
 
 def certify(error: SampledError, low: float, high: float, where: str) -> Certificate:
     """Compute P, and bound |G(s)| over the range; the margin is 1 minus the bound. Raises DesignError without an answer."""
-    seconds = np.linspace(low, high, SHOWN)
+    seconds = np.linspace(low, high, SOLVER_INTERVALS)
     solution = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
     largest_norm = norm_bound(error, solution.P, low, high)
     inequality = f"|G(s)| < 1 for all s from {low:g} to {high:g} s, in the norm of P"

@@ -18,9 +18,9 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import DesignContext
 
-SHOWN = 17  # maps that a solver uses; the check of the certificate uses all
+SOLVER_MAPS = 17  # maps that a solver uses; the check of the certificate uses all
 VALUES = 33  # of a parameter
-MOST = 50_000  # maps in all
+MAX_MAPS = 50_000  # maps in all
 
 
 def _require_increasing(bounds: list[float]) -> list[float]:
@@ -65,10 +65,10 @@ def maps(
     )
     grid = {name: np.linspace(low, high, VALUES) for name, (low, high) in (parameters or {}).items()}
     count = len(ticks) * VALUES ** len(grid)
-    if count > MOST:
+    if count > MAX_MAPS:
         raise UserError(
             f"{where}: got ranges of {len(ticks)} intervals and {len(grid)} parameters, which are {count} maps to check, "
-            f"expected {MOST} at most; narrow the periods or leave a parameter out."
+            f"expected {MAX_MAPS} at most; narrow the periods or leave a parameter out."
         )
     parts = [
         _maps_at(context, dict(zip(grid, point, strict=True)), ticks, q) for point in itertools.product(*grid.values())
@@ -80,10 +80,10 @@ def maps(
 
 def _ticks(periods: list[float], context: DesignContext, where: str) -> list[int]:
     low, high = (edge / context.dt for edge in periods)
-    if high - low > MOST:
+    if high - low > MAX_MAPS:
         raise UserError(
             f"{where}: got a period_range of {periods} s, which are {high - low:.3g} ticks of {context.dt:g} s, expected "
-            f"{MOST} at most; write seconds, or a narrower range."
+            f"{MAX_MAPS} at most; write seconds, or a narrower range."
         )
     ticks = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
     if not ticks:
@@ -107,7 +107,7 @@ def _maps_at(context: DesignContext, parameters: dict[str, float], ticks: list[i
 def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:
     """Return the indices of some intervals, with the first and the last, at lowest, middle and highest parameter values."""
     axes = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
-    count = max(SHOWN // 3**parameters, 3)
+    count = max(SOLVER_MAPS // 3**parameters, 3)
     indices = np.unique(np.linspace(0, intervals - 1, min(count, intervals)).round().astype(int))
     shape = (*[VALUES] * parameters, intervals)
     grids = np.meshgrid(*axes, indices, indexing="ij")

@@ -20,7 +20,7 @@ import numpy as np
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 from pcbench.synthesis import error_bounds, riccati, solvers
-from pcbench.synthesis.certificate import SHORT, Certificate
+from pcbench.synthesis.certificate import RATE_TOL, Certificate
 from pcbench.synthesis.parameter_ranges import Maps
 
 Kind = Literal["decay", "h2", "hinf"]
@@ -60,7 +60,7 @@ def design(
     if kind == "decay" and decay is None:
         return fastest(task, where)
     name = f"robust-{kind}"
-    least = 0.0 if decay is None else decay * (1 - SHORT)
+    least = 0.0 if decay is None else decay * (1 - RATE_TOL)
 
     def ask(solver: str) -> RobustGain:
         problem = (

@@ -16,10 +16,10 @@ from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 
 power = np.linalg.matrix_power
-UNSEEN = 1e-8  # least singular value of Hautus' test for an observable mode, in scaled units
-STAYS = 1 - 1e-9  # a mode of this absolute value or more does not decay
+MIN_SINGULAR_VALUE = 1e-8  # least singular value of Hautus' test for an observable mode, in scaled units
+NO_DECAY = 1 - 1e-9  # a mode of this absolute value or more does not decay
 ROWS = 1500  # of the largest map whose spectral radius is computed
-GROWS = 100.0  # powers of ten by which a model may grow over a delay
+MAX_GROWTH = 100.0  # powers of ten by which a model may grow over a delay
 
 
 class SampledPlant(NamedTuple):
@@ -47,10 +47,10 @@ def sample_plant(context: DesignContext, observer: str, q: float | None = None) 
     noise = linear.noise_doublings(model, tick, context.dt, len(binary_maps))
     A, Q = linear.over(binary_maps, period), linear.noise_over(binary_maps, noise, period)
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    if max(tau) * np.log10(max(fastest, 1e-300)) > GROWS:
+    if max(tau) * np.log10(max(fastest, 1e-300)) > MAX_GROWTH:
         raise UserError(
             f"{where}: got a model that grows by {fastest:.3g} a sample over a delay of {max(tau)} samples, expected less than "
-            f"1e{GROWS:.0f} in all; shorten the delay."
+            f"1e{MAX_GROWTH:.0f} in all; shorten the delay."
         )
     scale = riccati.prior_size(context)
     sizes = np.linalg.norm(model.C * scale, axis=1)
@@ -91,7 +91,9 @@ def invertible(C: Matrix) -> bool:
     return C.shape[0] == C.shape[1] and rank(C) == len(C)
 
 
-def require_visible(plant: SampledPlant, d: int, where: str, least: float = STAYS, purpose: str = "its design") -> None:
+def require_visible(
+    plant: SampledPlant, d: int, where: str, least: float = NO_DECAY, purpose: str = "its design"
+) -> None:
     """Raise UserError with a mode of A^d of absolute value `least` or more that C does not observe.
 
     This is Hautus' test at the scale of x(0) and of the noise. It uses singular values, so that it detects a multiple mode:
@@ -101,7 +103,7 @@ def require_visible(plant: SampledPlant, d: int, where: str, least: float = STAY
     C = plant.C / plant.sizes[:, None] * plant.scale
     for mode in np.linalg.eigvals(Ad):
         *_, sizes, V = np.linalg.svd(np.vstack([Ad - mode * np.eye(len(Ad)), C]))
-        if abs(mode) >= least and sizes[-1] < UNSEEN:
+        if abs(mode) >= least and sizes[-1] < MIN_SINGULAR_VALUE:
             v = plant.scale * V[-1].conj()
             direction = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
             kind = "a detectable" if least else "an observable"

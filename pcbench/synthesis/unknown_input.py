@@ -24,7 +24,7 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import format_mode, product, rank, unobservable
 from pcbench.errors import UserError
-from pcbench.synthesis.certificate import SHORT, Certificate, require_certified
+from pcbench.synthesis.certificate import RATE_TOL, Certificate, require_certified
 
 TIE = 1e-9  # relative tolerance of equal lengths and zero entries
 
@@ -116,7 +116,7 @@ def require_rate(certificate: Certificate, rate: float, where: str) -> Certifica
 
 def rate_to_certify(rate: float) -> float:
     """Return the rate [1/s] that must be certified for a required rate: slightly less, as an optimum is on the boundary."""
-    return rate * (1 - SHORT)
+    return rate * (1 - RATE_TOL)
 
 
 def _require_assumptions(model: Model, where: str) -> Matrix:

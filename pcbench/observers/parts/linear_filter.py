@@ -25,7 +25,7 @@ from pcbench.observers.parts import assumed_noise, kalman, prediction, reorder_b
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
-from pcbench.observers.parts.robust_update import Known
+from pcbench.observers.parts.robust_update import AnyPosterior
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate, require_certified
 
@@ -80,7 +80,7 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
 
-def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
+def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Posterior:
     """Return mean and covariance propagated to a tick; a copy in the state stays constant."""
     n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
     free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
@@ -92,7 +92,7 @@ def predict_posterior(gains: Gains, before: Known, tick: Array) -> Posterior:
     return Posterior(jnp.concatenate([free, before.mean[n:]]), P, tick)
 
 
-def update(gains: Gains, before: Known, sample: Measurement) -> Known:
+def update(gains: Gains, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
     free, P, _ = predict_posterior(gains, before, sample.taken)
     value, rejections, n = value_of(gains, sample), [], gains.P0.shape[0]
@@ -109,13 +109,13 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     return robust_update.after(before, free, P, sample.taken, rejections)
 
 
-def newest_innovation_stats(gains: Gains, before: Known, sample: Measurement) -> InnovationStats:
+def newest_innovation_stats(gains: Gains, before: AnyPosterior, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the newest state `before`; empty for an older sample."""
     prior = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
     return innovation_stats(gains, prior, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
 
 
-def innovation_stats(gains: Gains, prior: Known, sample: Measurement) -> InnovationStats:
+def innovation_stats(gains: Gains, prior: AnyPosterior, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the state at its sampling time, channel by channel."""
     free, P, mask = prior.mean, prior.P, sample.mask
     value, total, R = value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
@@ -143,7 +143,7 @@ def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
     return signals_of(gains, memory.xhat)
 
 
-def point(after: Known) -> Point:
+def point(after: AnyPosterior) -> Point:
     """Return the mean of a posterior as a `Point`."""
     return Point(after.mean, after.taken)
 
@@ -158,7 +158,7 @@ def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array,
     return T @ P @ T.T
 
 
-def newest(gains: Gains, memory: Memory) -> Known:
+def newest(gains: Gains, memory: Memory) -> AnyPosterior:
     """Return mean and covariance at the newest sample used."""
     return reorder_buffer.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
 
@@ -188,7 +188,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         return newest_innovation_stats(gains, buffer.before, sample)
     first, n = buffer.before, gains.P0.shape[0]
 
-    def copy(state: Known, sample: Measurement) -> Known:
+    def copy(state: AnyPosterior, sample: Measurement) -> AnyPosterior:
         prior = predict_posterior(gains, state, sample.taken)
         return state._replace(mean=jnp.tile(prior.mean[:n], 2), P=kalman.with_copy(prior.P, n), taken=sample.taken)
 

@@ -51,7 +51,7 @@ class GuardedPosterior(NamedTuple):
     left_out: Int[Array, " q"]
 
 
-Known = Posterior | GuardedPosterior  # a filter's state after a sample
+AnyPosterior = Posterior | GuardedPosterior  # a filter's state after a sample
 
 
 def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
@@ -61,12 +61,12 @@ def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
     return Guard(*(np.asarray(np.inf if threshold is None else threshold) for threshold in (gate, opens, huber)))
 
 
-def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> Known:
+def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> AnyPosterior:
     """Return the state before the first sample."""
     return GuardedPosterior(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
-def after(before: Known, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> Known:
+def after(before: AnyPosterior, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> AnyPosterior:
     """Return the state after a sample, of the same type as `before`."""
     return (
         GuardedPosterior(mean, P, tick, jnp.stack(rejections))
@@ -76,7 +76,7 @@ def after(before: Known, mean: Array, P: Array, tick: Array, rejections: list[Ar
 
 
 def weigh(
-    guard: PyTree, before: Known, channel: int, nu: Array, s: Array, r: Array, mask: Array
+    guard: PyTree, before: AnyPosterior, channel: int, nu: Array, s: Array, r: Array, mask: Array
 ) -> tuple[Array, Array, Array]:
     """Return whether a channel is used, the variance of its noise for the update, and how many were rejected in a row."""
     if not isinstance(before, GuardedPosterior):

@@ -27,7 +27,7 @@ from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 16  # clones; the joint covariance has (17 n)^2 entries
+MAX_CLONES = 16  # clones; the joint covariance has (17 n)^2 entries
 Gain = Callable[
     [Array, Array, Array], Array
 ]  # (h [joint], s, mask of the rows of the present and of the sample's clone) -> K [joint]
@@ -164,9 +164,9 @@ def room(context: DesignContext, name: str) -> Room:
             f"{name} in {context.scenario}: got an assumed_delay_error of {context.error * context.dt:g} s, expected 0: it "
             "clones the state when a sample is taken and does not use its timestamp; leave it out, or take kf."
         )
-    if context.flight > MOST:
+    if context.flight > MAX_CLONES:
         raise UserError(
-            f"{name} in {context.scenario}: got up to {context.flight} samples in transit at once, expected at most {MOST}: "
-            "each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
+            f"{name} in {context.scenario}: got up to {context.flight} samples in transit at once, expected at most "
+            f"{MAX_CLONES}: each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
         )
     return np.zeros(context.flight)

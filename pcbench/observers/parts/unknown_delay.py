@@ -26,7 +26,7 @@ from pcbench.observers.parts import assumed_noise
 from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 2000  # ticks of the longest delay; every arrival propagates over it
+MAX_TICKS = 2000  # ticks of the longest delay; every arrival propagates over it
 
 
 class Gains(NamedTuple):
@@ -109,8 +109,8 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
     mean = mean if options.delay is None else options.delay
     std = options.delay_std or (context.unknown_std[0] if is_unknown else max(0.5 * mean, dt))
     longest = round((options.longest or mean + 3 * std) / dt)
-    if not 1 <= longest <= min(MOST, context.ticks):
-        limit = min(MOST, context.ticks) * dt
+    if not 1 <= longest <= min(MAX_TICKS, context.ticks):
+        limit = min(MAX_TICKS, context.ticks) * dt
         raise UserError(
             f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {limit:g} s, "
             "over which every arrival propagates; write longest, or take a longer tick."

@@ -12,7 +12,7 @@ from pcbench import api
 from pcbench.papers.claim import FALSE, REPRODUCED, Claim
 
 COMPUTED = "Arasaratnam, Haykin 2009 [V]"
-LOST = 500.0  # m: a run of the extended filter that passes it counts as lost
+LOST_ERROR = 500.0  # m: a run of the extended filter that passes it counts as lost
 
 
 def rows() -> list[Claim]:
@@ -20,13 +20,13 @@ def rows() -> list[Claim]:
     runs = api.run("coordinated-turn", axes={"delay": [0.0]}).runs
     ukf = runs[runs.observer == "ukf"].set_index("signal").steady_mse
     ekf = runs[(runs.observer == "ekf") & (runs.signal == "position")]
-    ekf_within = ekf[ekf.steady_max_abs_error <= LOST]
+    ekf_within = ekf[ekf.steady_max_abs_error <= LOST_ERROR]
     ekf_lost = f"lost: {len(ekf) - len(ekf_within)} of {len(ekf)}"
     return [
         _root(ukf["position"], (19.3, 20.4), "ukf, cubature: position [m]"),
         _root(ukf["velocity"], (11.2,), "ukf, cubature: velocity [m/s]"),
         _root(ukf["turn_rate"] * np.degrees(1.0) ** 2, (1.33,), "ukf, cubature: turn rate [degrees/s]"),
-        _root(ekf_within.steady_mse, (30.0,), f"ekf: position in the runs within {LOST:g} m [m]", ekf_lost),
+        _root(ekf_within.steady_mse, (30.0,), f"ekf: position in the runs within {LOST_ERROR:g} m [m]", ekf_lost),
     ]
 
 

@@ -15,7 +15,9 @@ COMPUTED = "Julier, Uhlmann, Durrant-Whyte 2000 [V]"
 RUNS = 400
 TIMES = (10, 20, 30, 60)  # s
 ALTITUDES = "102455, 39453, 32592, 26732"  # ft
-DRAWN = "larger from 20 s on: points are drawn at every tick here, once a second there, and the source leaves it open"
+PLOT_NOTE = (
+    "larger from 20 s on: points are drawn at every tick here, once a second there, and the source leaves it open"
+)
 MEDIANS = {"ekf": (734.0, 127.0, 91.0, 60.0), "ukf": (728.0, 77.0, 45.0, 23.0)}  # ft, at the times
 
 
@@ -33,8 +35,8 @@ def rows() -> list[Claim]:
         text = ", ".join(f"{ours:.3g}" for ours in middle)
         claim = f"{observer}: median error of altitude at 10, 20, 30, 60 s, {RUNS} runs [ft]"
         agrees = bool(z_scores.max() < 3)
-        steady = "within 3 standard errors" if agrees else DRAWN
+        steady = "within 3 standard errors" if agrees else PLOT_NOTE
         verdict = REPRODUCED if agrees else OPEN
-        summary = f"{text}{'' if agrees else f', {DRAWN}'}, at most {z_scores.max():.1f} standard errors off"
+        summary = f"{text}{'' if agrees else f', {PLOT_NOTE}'}, at most {z_scores.max():.1f} standard errors off"
         out.append(Claim(claim, ", ".join(f"{ft:g}" for ft in medians), summary, verdict, steady, COMPUTED))
     return out

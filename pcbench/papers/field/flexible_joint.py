@@ -18,12 +18,12 @@ COMPUTED = "Raghavan, Hedrick 1994 [V]"
 FUNCTIONAL = "functional of Fridman 2010 [V]"
 SLOPE = 3.33  # 1/s^2, the largest of the sine
 LONGEST = 0.6  # s, of the search
-FOUND = np.array([[4.375], [0.179], [4.071], [3.463]])  # gains [1/s]
-GIVEN = np.array([[4.019], [0.901], [3.689], [3.505]])
+GAIN_LMI = np.array([[4.375], [0.179], [4.071], [3.463]])  # gains [1/s]
+GAIN_PAPER = np.array([[4.019], [0.901], [3.689], [3.505]])
 INTERVALS = (
     ("from the motor angle", 1, None, "0.290"),
     ("from motor angle and rate", 2, None, "0.293"),
-    ("from the motor angle, a given gain", 1, GIVEN, "0.281"),
+    ("from the motor angle, a given gain", 1, GAIN_PAPER, "0.281"),
 )
 MODES = {  # by slope of the sine: 0, at rest, with the link upright
     "without gravity": (0.0, "-0.4452 +8.2208i, -0.3596, 0.0000"),
@@ -52,7 +52,9 @@ def rows() -> list[Claim]:
                 source=FUNCTIONAL,
             )
         )
-    periods = [constant_periods.largest_stable(partial(_radius, slopes, L), 2 * LONGEST) for L in (FOUND, GIVEN)]
+    periods = [
+        constant_periods.largest_stable(partial(_radius, slopes, L), 2 * LONGEST) for L in (GAIN_LMI, GAIN_PAPER)
+    ]
     text = ", ".join(f"{period:.4f}" for period in periods)
     return [
         *out,

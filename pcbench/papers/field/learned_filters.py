@@ -18,13 +18,13 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from pcbench.external.gain_network import System, Training, draw, estimates, train
-from pcbench.papers.claim import FALSE, FINDING, OPEN, OURS, REPRODUCED, Claim
+from pcbench.papers.claim import FALSE, FINDING, NOT_IN_PAPER, OPEN, REPRODUCED, Claim
 
 KALMANNET = "Revach et al., arXiv 2107.10043"
 RECURSIVE = "Mortada et al., arXiv 2506.11639"
 RUNS = 400  # compared
 FLOOR, KNOWN_FLOOR = -1.922, 0.03683  # [V] dB; mean square
-TUNED = np.arange(1.0, 2.01, 0.1)  # factors on the standard deviation of the process noise
+FACTORS = np.arange(1.0, 2.01, 0.1)  # factors on the standard deviation of the process noise
 LONG = Training(steps=1000)
 F = np.array([[1.0, 1.0], [0.0, 1.0]])  # of both linear cases
 WIDE, NARROW, SHARE = 1.25, 0.39528, 0.6  # standard deviations of the bimodal noise, and share of the wide one
@@ -193,7 +193,7 @@ def _compare_with_ekf(system: System, model: str) -> Claim:
     nominal_q = compare(learned, square(partial(ekf, system), x, y))
     tuning_x, tuning_y = runs_of(system, 2, RUNS)
     estimates_of = jax.jit(jax.vmap(lambda factor, y: ekf(system, y, factor), (None, 0)))
-    best = min(TUNED, key=lambda factor: float(jnp.mean((estimates_of(factor, tuning_y) - tuning_x) ** 2)))
+    best = min(FACTORS, key=lambda factor: float(jnp.mean((estimates_of(factor, tuning_y) - tuning_x) ** 2)))
     tuned_q = compare(learned, np.asarray(jnp.mean((estimates_of(best, y) - x) ** 2, (1, 2))))
     text = f"{_percent(nominal_q)} against the given Q, {_percent(tuned_q)} against a tuned one ({best:.2g} times its root)"
     return Claim(
@@ -227,7 +227,9 @@ def _bimodal() -> Iterator[Claim]:
     steady = "within 1 %" if agrees else f"{floor_mse:.3f}"
     yield Claim(claim, f"{KNOWN_FLOOR}", floor, REPRODUCED if agrees else FALSE, steady, f"{RECURSIVE} [V]")
     text = f"{wrong.mean():.4f} ({_db(wrong.mean()):.2f} dB) over {len(keys):,} runs"
-    yield Claim("learned filter: bimodal noise: mean square error of the filter with variance 1", OURS, text, FINDING)
+    yield Claim(
+        "learned filter: bimodal noise: mean square error of the filter with variance 1", NOT_IN_PAPER, text, FINDING
+    )
     text = f"mean square error {c.mean:.4f}, {_percent(c)} against the filter with variance 1"
     between = floor_mse < c.mean and c.difference < -1.96 * c.se
     steady = "between that filter and the one with each variance"

@@ -13,7 +13,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.papers.claim import MISPRINT, Claim, all_digits, report_finding, rounds_to
 from pcbench.plants.quadruple_tank import POINTS, Numbers, linearize, time_constants
 
-SEEN = "Johansson 2000, in CPSEC/probabilistic-recovery [S]"
+SOURCE = "Johansson 2000, in CPSEC/probabilistic-recovery [S]"
 COMPUTED = "Johansson 2000 [V]"
 LEVELS = {"P-": (12.4, 12.7, 1.8, 1.4), "P+": (12.6, 13.0, 4.8, 4.9)}  # cm, printed
 CONSTANTS = {"P-": Numbers(), "P+": Numbers(k1=3.14, k2=3.29, gamma1=0.43, gamma2=0.34)}
@@ -37,7 +37,7 @@ def _rows(point: str) -> Iterator[Claim]:
     T_printed, T_equilibrium = time_constants(n, printed), time_constants(n, exact)
     for i, text in enumerate(TIMES[point]):
         claim = f"{point}: T{i + 1} at the printed levels [s]"
-        row = all_digits(claim, text, T_printed[i], SEEN)
+        row = all_digits(claim, text, T_printed[i], SOURCE)
         if not rounds_to(text, T_printed[i]) and rounds_to(text, T_equilibrium[i]):
             row = row._replace(
                 reproduced=f"{row.reproduced}; {T_equilibrium[i]:.1f} at the equilibrium", verdict=MISPRINT
