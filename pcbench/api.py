@@ -116,17 +116,17 @@ def run(
                 say(sentence)
         for sentence in [*parse.unstable(grid), *engine_warnings(grid)]:
             (say or warnings.warn)(sentence)
-        made = gain_variants.prepare(grid, out, overwrite, progress)
-        if say and made.study.tuning_sentence:
-            say(made.study.tuning_sentence)
-        result = run_study.execute(made.grid, out, how)
-        for sentence in missing_inputs.explain_divergence(made.grid, lambda: result.stats):
+        variants = gain_variants.prepare(grid, out, overwrite, progress)
+        if say and variants.study.tuning_sentence:
+            say(variants.study.tuning_sentence)
+        result = run_study.execute(variants.grid, out, how)
+        for sentence in missing_inputs.explain_divergence(variants.grid, lambda: result.stats):
             (say or warnings.warn)(sentence)
-        if made.aim is None:
+        if variants.aim is None:
             return result
         from pcbench.gains import fair_comparison  # tuned gains alone need it
 
-        return fair_comparison.report(made, result, out, how)
+        return fair_comparison.report(variants, result, out, how)
 
 
 def exact_moments(
@@ -218,35 +218,36 @@ def simulate(
                 f"{study.name}: got {len(cell.options)} observers with a processor_speed, expected one: each uses the samples "
                 "that its own processor has time for; simulate them one at a time."
             )
-        (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
+        (p,) = (alone(point, study.root_seed, seed) for point in padding.fit(list(drafts([cell]))))
         import pandas as pd
 
         from pcbench.simulation import trajectory
 
         out = trajectory.jit_record()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
-        digits.require_of_trace(p, out.x, [out.estimates[called] for called, _ in p.layout.observers])
+        digits.require_of_trace(p, out.x, [out.estimates[key] for key, _ in p.layout.observers])
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
-    every = [name for name, _ in signals_of(p.cell.scenario)]
-    signals, own_errors = every[: out.x.shape[1]], every[out.x.shape[1] :]
+    signal_names = [name for name, _ in signals_of(p.cell.scenario)]
+    signals, error_names = signal_names[: out.x.shape[1]], signal_names[out.x.shape[1] :]
     if log is not None:
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
         for name, table in tables.items():
             single_table.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
-    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
-        columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
-    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
-        own = out.errors.get(called, np.zeros((0, 0))).T
-        columns |= {f"{name}.{signal}": each for signal, each in zip(own_errors, own, strict=False)}
-    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
-        own = out.sigma.get(called)
-        columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}
-    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
-        for i, ends in enumerate(out.bounds[called].T if called in out.bounds else ()):
+    keys = {name: key for name, (key, _) in zip(p.labels, p.layout.observers, strict=True)}
+    for name, key in keys.items():
+        columns |= {f"{name}.{signals[i]}": column for i, column in enumerate(out.estimates[key].T)}
+    for name, key in keys.items():
+        errors = out.errors.get(key, np.zeros((0, 0))).T
+        columns |= {f"{name}.{signal}": column for signal, column in zip(error_names, errors, strict=False)}
+    for name, key in keys.items():
+        sigma = out.sigma.get(key, np.zeros((0, 0))).T
+        columns |= {f"{name}.{signals[i]}.sigma": column for i, column in enumerate(sigma)}
+    for name, key in keys.items():
+        for i, ends in enumerate(out.bounds[key].T if key in out.bounds else ()):
             columns |= {f"{name}.{signals[i]}.low": ends[0], f"{name}.{signals[i]}.high": ends[1]}
-    columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
+    columns |= {f"target.{signals[i]}": column for i, column in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.arrived).T)}
     frame = pd.DataFrame(columns)
@@ -254,9 +255,8 @@ def simulate(
     frame.attrs["excluded"] = study.excluded or {}  # reasons for observers of "all" that are missing
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
     frame.attrs["output_units"] = {f"y{i + 1}": unit for i, unit in enumerate(output_units(p.cell.scenario))}
-    frame.attrs["predicts_unknown_input"] = dict(
-        p.predicts_unknown_input
-    )  # of the predictions to the present, by observer
+    # of the predictions to the present, by observer
+    frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
 
@@ -291,11 +291,11 @@ def operation_counts(
                 "cell": p.cell.number,
                 **p.cell.values,
                 "observer": label,
-                **found._asdict(),
+                **count._asdict(),
                 **(dict(zip(("computing_time", "every"), processor.times_in(p.cell), strict=True)) if limited else {}),
             }
             for p in drafts(grid.cells)
-            for label, found in counts.costs(p).items()
+            for label, count in counts.costs(p).items()
         ]
     table = pd.DataFrame(rows)
     table.attrs["excluded"] = grid.study.excluded or {}  # reasons for observers of "all" that are missing
@@ -333,7 +333,7 @@ def design(
         return design.design(scenario, observer, gain=gain, overrides=overrides)[2]
 
 
-SIMULATED = (
+SIMULATION_ONLY = (
     "objective",
     "signal",
     "optimizer",
@@ -378,8 +378,8 @@ def tune(
         from pcbench.gains.tune import tune as on_runs
 
         return on_runs(scenario, observer, **how)
-    if alone := [name for name in SIMULATED if name in how]:
-        raise UserError(f"{alone[0]} has no effect with log; leave {' and '.join(alone)} out, or log.")
+    if names := [name for name in SIMULATION_ONLY if name in how]:
+        raise UserError(f"{names[0]} has no effect with log; leave {' and '.join(names)} out, or log.")
     from pcbench.playback.tuning import tune_log
 
     return tune_log(log, scenario, observer, delay=delay, start=start, **how)

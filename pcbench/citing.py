@@ -40,8 +40,8 @@ def references() -> list[Reference]:
 
 def find_citations(sources: Iterable[str]) -> list[str]:
     """Return the keys of the entries that the sources refer to."""
-    every = list(sources)
-    return [r.key for r in references() if any(r.words in source for source in every)]
+    texts = list(sources)
+    return [r.key for r in references() if any(r.words in source for source in texts)]
 
 
 def bibtex(what: str | None = None) -> str:
@@ -55,17 +55,17 @@ def bibtex(what: str | None = None) -> str:
         is_result = storage.text(target, manifest.TEXT) is not None
         study = manifest.load_manifest(target).study if is_result else outline(what, [])
         record = (close.record(target) if is_result else None) or {}
-        solvers = {c["solver"] for each in record.get("certificates", {}).values() for c in each.values()} & set(
+        solvers = {c["solver"] for table in record.get("certificates", {}).values() for c in table.values()} & set(
             SOLVERS
         )
         keys = {*find_citations(_sources(study)), *ALWAYS, *(r.key for r in entries if r.words in solvers)}
         keys |= {MODELLING} if solvers else set()
         entries = [r for r in entries if r.key in keys]
         releases = ", ".join(f"{k} {v}" for k, v in record.get("versions", {}).items())
-        own = ", ".join(label for label in study.custom_observers if own_in(study, label))
+        custom = ", ".join(label for label in study.custom_observers if own_in(study, label))
         about = [f"what the study {study.name} used"]
         about += [f"releases: {releases}"] if releases else []
-        about += [f"your own, cite it yourself: {own}"] if own else []
+        about += [f"your own, cite it yourself: {custom}"] if custom else []
         about += [] if record else ["not run yet: which solvers its gains need is not known"]
     head = [f"% {line}" for line in [f"pcbench {version('pcbench')}: {about[0]}", *about[1:]]]
     return "\n".join([*head, "", "\n\n".join(r.text for r in entries), ""])
@@ -76,8 +76,8 @@ def _sources(study: Study) -> list[str]:
 
     A scenario derived from a published plant also has the sources of the plant's own scenarios.
     """
-    every, sources = scenarios_of(study), []
-    for s in (every[name] for name in study.scenarios):
+    by_name, sources = scenarios_of(study), []
+    for s in (by_name[name] for name in study.scenarios):
         if s.name not in SCENARIOS and s.plant in PLANTS and s.plant != "lti":
             sources += [p.source for p in SCENARIOS.values() if p.plant == s.plant][:1]
         labels = [o for o in observers_of(study, s.name) if not own_in(study, o)]

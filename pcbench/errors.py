@@ -9,9 +9,9 @@ import traceback
 from collections.abc import Iterable
 from reprlib import Repr
 
-SETTING = re.compile(
+HARMLESS_PARAMETER = re.compile(
     r"(region|scheme|allow_bucket_creation|allow_bucket_deletion)=[\w-]*"
-)  # settings that may be shown in an address
+)  # query parameters that may be shown in an address
 LONGEST = 100  # largest length of a quoted value
 LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")})
 OURS = os.path.dirname(os.path.realpath(__file__))
@@ -43,15 +43,15 @@ class DesignError(UserError):
 def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.4) -> str:
     """Return the valid name most similar to `got`, ignoring case; empty if no similarity reaches `cutoff` (0 to 1)."""
     lower = {name.lower(): name for name in valid}
-    near = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=cutoff)
-    return lower[near[0]] if near else ""
+    matches = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=cutoff)
+    return lower[matches[0]] if matches else ""
 
 
 def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     """Return an error that `got` is not a valid `kind`, with the nearest valid name and all of them."""
     names = sorted(valid)
-    near = nearest_name(got, names)
-    hint = f"did you mean '{near}'? " if near else ""
+    nearest = nearest_name(got, names)
+    hint = f"did you mean '{nearest}'? " if nearest else ""
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names) or 'none'}.")
 
 
@@ -63,8 +63,8 @@ EXTRAS = {"distributed": "dask", "control": "control"} | dict.fromkeys(
 def missing(module: str) -> str:
     """Return a message that a library is not installed, with the command that installs it."""
     package = module.split(".")[0].replace("_", "-")
-    named = f"'pcbench[{EXTRAS[package]}]'" if package in EXTRAS else package
-    return f"got no package '{package}', expected it for this command; install it: pip install {named}."
+    requirement = f"'pcbench[{EXTRAS[package]}]'" if package in EXTRAS else package
+    return f"got no package '{package}', expected it for this command; install it: pip install {requirement}."
 
 
 def short(text: str) -> str:
@@ -72,17 +72,17 @@ def short(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 23]}...{text[-20:]}"
 
 
-def shown_address(text: str) -> str:
+def redact_address(text: str) -> str:
     """Return an address without secrets, for a sentence or a file.
 
-    Everything between the scheme and the last `@` is left out, and all of its query except a few harmless settings.
+    Everything between the scheme and the last `@` is left out, and all of its query except a few harmless parameters.
     """
-    scheme, mark, rest = text.partition("://")
+    scheme, mark, address = text.partition("://")
     if not mark:
         return text
-    place, _, query = rest.rpartition("@")[2].partition("#")[0].partition("?")
-    settings = [each for each in query.split("&") if SETTING.fullmatch(each)]
-    return f"{scheme}://{place}" + (f"?{'&'.join(settings)}" if settings else "")
+    place, _, query = address.rpartition("@")[2].partition("#")[0].partition("?")
+    parameters = [p for p in query.split("&") if HARMLESS_PARAMETER.fullmatch(p)]
+    return f"{scheme}://{place}" + (f"?{'&'.join(parameters)}" if parameters else "")
 
 
 def first_sentence(error: object) -> str:
@@ -98,10 +98,10 @@ def out_of_memory(error: BaseException) -> bool:
 
 def unreadable(error: BaseException, where: str, instead: str) -> UserError:
     """Return an error for an unreadable file: out of memory, or the reader's message with what was expected `instead`."""
-    found = first_sentence(error) if str(error) else "it ends too early"
+    reason = first_sentence(error) if str(error) else "it ends too early"
     if out_of_memory(error):
-        return UserError(f"{where}: memory ran out while it was read ({found}), expected more; end other programs.")
-    return UserError(f"{where}: {found}; expected {instead}.")
+        return UserError(f"{where}: memory ran out while it was read ({reason}), expected more; end other programs.")
+    return UserError(f"{where}: {reason}; expected {instead}.")
 
 
 def brief_repr(value: object) -> str:
@@ -126,9 +126,9 @@ def describe_exception(error: BaseException) -> str:
     return f"{type(error).__name__}{': ' if message else ''}{message}" + (f", {place}" if place else "")
 
 
-def is_ours(thing: object) -> bool:
+def is_ours(definition: object) -> bool:
     """Return whether a function or a class is part of pcbench."""
-    return str(getattr(thing, "__module__", "")).split(".")[0] == "pcbench"
+    return str(getattr(definition, "__module__", "")).split(".")[0] == "pcbench"
 
 
 def line_of(error: BaseException) -> str:

@@ -34,14 +34,14 @@ def parse_formula(text: str, functions: Collection[str] = ()) -> Tree:
     longest = LONGEST_NAMES if functions else LONGEST
     tokens, at = [], 0
     while text[at:].strip() and len(text) <= longest:
-        found = (FIELD if functions else TOKEN).match(text, at)
-        if not found:
+        match = (FIELD if functions else TOKEN).match(text, at)
+        if not match:
             calls = ", functions" if functions else ""
             raise ValueError(
                 f"a formula of numbers, names, + - * / ^{calls} and parentheses (not '{text[at:].strip()[0]}')"
             )
-        tokens.append(found[1] or found[2] or found[3])
-        at = found.end()
+        tokens.append(match[1] or match[2] or match[3])
+        at = match.end()
     if len(text) > longest or len(tokens) > LONGEST:
         raise ValueError(
             f"a formula of at most {longest} characters" + f", {LONGEST} words and signs" * bool(functions)
@@ -62,17 +62,17 @@ def names(tree: Tree) -> set[str]:
 def value(tree: Tree, numbers: Mapping[str, float]) -> float:
     """Return the value of a formula; raise ValueError if it is not finite."""
     try:
-        found = _value(tree, numbers)
+        result = _value(tree, numbers)
     except ArithmeticError:
-        found = float("inf")
-    if isinstance(found, complex) or not abs(found) < float("inf"):
+        result = float("inf")
+    if isinstance(result, complex) or not abs(result) < float("inf"):
         raise ValueError("a finite number")
-    return float(found)
+    return float(result)
 
 
 def _value(tree: Tree, numbers: Mapping[str, float]) -> complex:
     if isinstance(tree, tuple):
-        return OPERATORS[tree[0]](*(_value(each, numbers) for each in tree[1:]))
+        return OPERATORS[tree[0]](*(_value(operand, numbers) for operand in tree[1:]))
     return numbers[tree] if isinstance(tree, str) else tree
 
 
@@ -113,13 +113,13 @@ def _atom(tokens: list[str], functions: Collection[str]) -> tuple[Tree, list[str
         raise ValueError(f"one of the functions {', '.join(sorted(functions))} before '(', not '{first}'")
     if call or first == "(":
         inner, rest = _sum(rest[1:] if call else rest, functions)
-        every = [inner]
+        arguments = [inner]
         while call and rest[:1] == [","]:
             inner, rest = _sum(rest[1:], functions)
-            every.append(inner)
+            arguments.append(inner)
         if not rest or rest[0] != ")":
             raise ValueError("a formula whose parentheses are closed")
-        return (first, *every) if call else inner, rest[1:]
+        return (first, *arguments) if call else inner, rest[1:]
     if first in "*/^),":
         raise ValueError(f"a number or a name before '{first}'")
     return (float(first) if first[0].isdecimal() or first[0] == "." else first.strip("'")), rest

@@ -414,6 +414,6 @@ FIELDS = (
 
 
 @cache
-def names(**wanted: object) -> tuple[str, ...]:
+def names(**flags: object) -> tuple[str, ...]:
     """Return the names of the fields with all these values, in order."""
-    return tuple(f.name for f in FIELDS if all(getattr(f, key) == value for key, value in wanted.items()))
+    return tuple(f.name for f in FIELDS if all(getattr(f, key) == value for key, value in flags.items()))

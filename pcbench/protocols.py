@@ -36,14 +36,14 @@ def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
         f: a function of arrays, of one run.
 
     Returns:
-        The same function, marked.
+        The function, compiled as a unit.
     """
 
-    def marked(*args: PyTree) -> PyTree:
+    def wrapper(*args: PyTree) -> PyTree:
         return f(*args)
 
-    marked.__name__ = TOGETHER  # unlike the name of any user's function
-    return jax.jit(marked)
+    wrapper.__name__ = TOGETHER  # unlike the name of any user's function
+    return jax.jit(wrapper)
 
 
 class Now(NamedTuple):
@@ -163,7 +163,7 @@ class RememberingCommand(Protocol):
     """Return the present command and the new memory of the law."""
 
     def __call__(
-        self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: Memory, /
+        self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], memory: Memory, /
     ) -> tuple[Float[Array, " m"], Memory]: ...
 
 

@@ -11,20 +11,20 @@ from collections.abc import Iterable
 from pcbench.errors import UserError, short
 
 LONGEST_NAME = 60  # characters
-TAKEN = re.compile(
+RESERVED = re.compile(
     r"t|[uy]\d+|sigma|scenario|cell|seed|tick"
 )  # names of other columns of a trajectory, a recording or a table
 LONGEST_UNIT = 40
 LONGEST_TEXT = 200  # of a name with its unit and spaces
 NAME = re.compile(r"[A-Za-z]\w*")
-NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\[([^\[\]]+)\])?\s*")
+NAME_WITH_UNIT = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\[([^\[\]]+)\])?\s*")
 UNIT = re.compile(r"(?:[A-Za-z0-9 */%.()°µμΩ·²³-]|\^(?=-?\d|\())+")
 COMMENTS = ("/*", "*/")
 
 
 def unit(text: str, where: str) -> str:
     """Return a valid unit unchanged; raise UserError if it has other characters, or is too long."""
-    if len(text) > LONGEST_UNIT or not UNIT.fullmatch(text) or any(each in text for each in COMMENTS):
+    if len(text) > LONGEST_UNIT or not UNIT.fullmatch(text) or any(mark in text for mark in COMMENTS):
         raise UserError(
             f"{where}: got the unit '{short(text)}', expected at most {LONGEST_UNIT} letters, digits and ^ * / % . - ( ), such "
             "as 'rad/s' or 'kg*m^2'; write another."
@@ -34,8 +34,8 @@ def unit(text: str, where: str) -> str:
 
 def name_and_unit(text: str, where: str) -> tuple[str, str]:
     """Return the name and the unit of a text such as "angle [rad]", "1" if it has none; raise UserError for another text."""
-    found = NAMED.fullmatch(text) if len(text) <= LONGEST_TEXT else None
-    return pair(found[1] if found else text, (found[2] if found else "") or "1", where)
+    match = NAME_WITH_UNIT.fullmatch(text) if len(text) <= LONGEST_TEXT else None
+    return pair(match[1] if match else text, (match[2] if match else "") or "1", where)
 
 
 def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
@@ -45,7 +45,7 @@ def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
             f"{where}: got '{short(name)}', expected a name with a unit, such as 'angle [rad]', of at most {LONGEST_NAME} "
             "letters and digits; write another."
         )
-    if TAKEN.fullmatch(name):
+    if RESERVED.fullmatch(name):
         raise UserError(
             f"{where}: got the name '{name}', which another column of a trace or a recording has, expected another name; "
             f"write one such as '{name}_state'."
@@ -55,9 +55,9 @@ def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
 
 def names_and_units(texts: Iterable[str], where: str) -> tuple[tuple[str, str], ...]:
     """Return names and units; raise UserError for an invalid text, or a name that occurs twice."""
-    found = tuple(name_and_unit(text, where) for text in texts)
-    require_different([name for name, _ in found], where)
-    return found
+    pairs = tuple(name_and_unit(text, where) for text in texts)
+    require_different([name for name, _ in pairs], where)
+    return pairs
 
 
 def require_different(names: list[str], where: str, remedy: str = "rename one") -> None:

@@ -15,19 +15,19 @@ DOTTED = re.compile(rf"(?<![\w.-]){PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST}}}"
 
 def parse(text: str | bytes) -> TomlTable:
     """Return the content of a TOML text (a byte-order mark is ignored); raise ValueError if invalid or nested too deep."""
-    words = text.decode("utf-8-sig") if isinstance(text, bytes) else text
-    if len(words) > LARGEST:
+    content = text.decode("utf-8-sig") if isinstance(text, bytes) else text
+    if len(content) > LARGEST:
         raise ValueError(f"it has more than {LARGEST:,} characters")
-    if DOTTED.search(words):
+    if DOTTED.search(content):
         raise ValueError(f"tables and lists are nested deeper than {DEEPEST}")
     try:
-        found = tomllib.loads(words)
+        table = tomllib.loads(content)
     except RecursionError:
         raise ValueError(f"tables and lists are nested deeper than {DEEPEST}") from None
-    level: list[Any] = [found]
+    level: list[Any] = [table]
     for _ in range(DEEPEST):
-        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
-        level = [each for each in level if isinstance(each, dict | list)]
+        level = [inner for node in level for inner in (node.values() if isinstance(node, dict) else node)]
+        level = [node for node in level if isinstance(node, dict | list)]
     if level:
         raise ValueError(f"tables and lists are nested deeper than {DEEPEST}")
-    return found
+    return table

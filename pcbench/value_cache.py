@@ -30,38 +30,38 @@ def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
     """
 
     @lru_cache(maxsize=256)
-    def once(call: _Call) -> T:
+    def call_cached(call: _Call) -> T:
         return function(*call.arguments, **call.named)  # type: ignore[arg-type]
 
     @wraps(function)
-    def ask(*arguments: P.args, **named: P.kwargs) -> T:
-        each = tuple(map(_contiguous, arguments)), {name: _contiguous(a) for name, a in named.items()}
-        return once(_Call(key_of(each), *each))
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:
+        values = tuple(map(_contiguous, args)), {name: _contiguous(a) for name, a in kwargs.items()}
+        return call_cached(_Call(key_of(values), *values))
 
     for name in ("cache_clear", "cache_info"):  # as in functools.lru_cache
-        setattr(ask, name, getattr(once, name))
-    return ask
+        setattr(wrapper, name, getattr(call_cached, name))
+    return wrapper
 
 
 def _contiguous(argument: object) -> object:
     return np.ascontiguousarray(argument, float) if isinstance(argument, np.ndarray) else argument
 
 
-def key_of(what: object) -> Hashable:
+def key_of(argument: object) -> Hashable:
     """Return a key that is equal for equal values, to the bit; raise TypeError if there is none."""
-    if isinstance(what, np.ndarray):
-        return what.dtype.str, what.shape, what.tobytes()
-    if what is None or isinstance(what, (bool, int, float, str)):
-        return type(what), repr(what)
-    if isinstance(what, (tuple, list)):
-        return type(what), *map(key_of, what)
-    if isinstance(what, dict):
-        return dict, *((key_of(name), key_of(value)) for name, value in what.items())
-    if isinstance(what, partial):
-        return type(what), key_of(what.func), key_of(what.args), key_of(what.keywords)
-    if isinstance(what, FunctionType):
-        return what
-    if hasattr(what, "__array__"):  # JAX arrays
-        numbers = np.asarray(what)
+    if isinstance(argument, np.ndarray):
+        return argument.dtype.str, argument.shape, argument.tobytes()
+    if argument is None or isinstance(argument, (bool, int, float, str)):
+        return type(argument), repr(argument)
+    if isinstance(argument, (tuple, list)):
+        return type(argument), *map(key_of, argument)
+    if isinstance(argument, dict):
+        return dict, *((key_of(name), key_of(value)) for name, value in argument.items())
+    if isinstance(argument, partial):
+        return type(argument), key_of(argument.func), key_of(argument.args), key_of(argument.keywords)
+    if isinstance(argument, FunctionType):
+        return argument
+    if hasattr(argument, "__array__"):  # JAX arrays
+        numbers = np.asarray(argument)
         return numbers.dtype.str, numbers.shape, numbers.tobytes()
-    raise TypeError(f"{type(what).__name__} has no key")
+    raise TypeError(f"{type(argument).__name__} has no key")

@@ -34,7 +34,7 @@ def kind_of(target: str) -> str:
     code = user_code.code_of(target, WHERE)
     here = Path(user_code.split(target, WHERE)[0]).resolve().parent if code.files else None
     types = tuple(each for kind in KINDS.values() for each in kind.types)
-    found, there = user_code.found_in(user_code.module_of(code, WHERE, here), code.name, types)
+    found, there = user_code.attribute_of(user_code.module_of(code, WHERE, here), code.name, types)
     if found is None:
         raise unknown(f"{WHERE} {code.module}", f"{', '.join([*KINDS][:-1])} or {[*KINDS][-1]} there", code.name, there)
     for name, kind in KINDS.items():

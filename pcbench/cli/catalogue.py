@@ -22,7 +22,7 @@ from pcbench.statistics import RUN_METRICS
 from pcbench.study import STUDIES, Choices, Study, observers_of, parse
 from pcbench.study.axes import AXES, COMMANDS, axes_of
 from pcbench.study.builtin import QUESTIONS
-from pcbench.study.fits import DRAWN
+from pcbench.study.fits import RANDOM_AXES
 from pcbench.study.plugins import registry, user_code
 
 TAKES = {
@@ -35,8 +35,8 @@ NAMED = {  # fields of a scenario with their own key in its description
     *("sampling_period", "delay", "noise_std", "steady_start", "controller"),
     *("settle_band", "divergence_threshold", "signals", "unknowns"),
 }
-# axes that have an effect only with one of DRAWN
-WITH_DRAWN = ("delay_self_transition", "delay_weights", "delay_gamma_shape", "mean_burst_length")
+# axes that have an effect only with one of RANDOM_AXES
+WITH_RANDOM_AXES = ("delay_self_transition", "delay_weights", "delay_gamma_shape", "mean_burst_length")
 Description = dict[str, Any]
 
 
@@ -127,7 +127,7 @@ def accepted_axes(s: Scenario) -> list[str]:
     if s.sampling.continuous:
         refused |= {*RECORDS["sampling"], *RECORDS["belief"]}
     if s.loop.controller and s.sampling.prefilled:  # its schedule is the same for all runs
-        refused |= {*DRAWN, *WITH_DRAWN, "delay_sequence"}
+        refused |= {*RANDOM_AXES, *WITH_RANDOM_AXES, "delay_sequence"}
     return [name for name in axes_of(s) if name not in refused]
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import jax
 
 from pcbench.engine import runner
-from pcbench.errors import UserError, shown_address
+from pcbench.errors import UserError, redact_address
 from pcbench.runtime import config, ending
 from pcbench.runtime.memory import memory_budget
 
@@ -138,7 +138,8 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         ) from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
-            f"--dask: got {shown_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or the "
+            f"--dask: got {redact_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or "
+            "the "
             "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 

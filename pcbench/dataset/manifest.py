@@ -16,7 +16,7 @@ from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.dataset.study_diff import changes
 from pcbench.errors import UserError
 from pcbench.study import Study, parse
-from pcbench.study.grid import Cell, Grid, channels_apart, command_columns, number_cells, with_engine
+from pcbench.study.grid import Cell, Grid, axes_with_lists, command_columns, number_cells, with_engine
 from pcbench.study.serialize import to_toml
 from pcbench.toml_text import TomlTable
 
@@ -180,7 +180,7 @@ def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> It
     """Yield the axes whose column would change between numbers and lists."""
     where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
     old = parse.build_study(_drop_resolved(there) | {"seeds": 1}, where, gate)
-    for name in sorted(channels_apart(old) ^ channels_apart(study)):
+    for name in sorted(axes_with_lists(old) ^ axes_with_lists(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
     for name in sorted(command_columns(old) ^ command_columns(study)):
         yield f"{name}: no scenario has a controller, and one has, there and here"

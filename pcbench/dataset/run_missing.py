@@ -127,7 +127,7 @@ class RunPlan(NamedTuple):
     owned: StudyClaim
     todo: Gaps
     wanted: SeedsOf
-    ask: memo.Once  # has the designs
+    ask: memo.Cache  # has the designs
     room: padding.Capacity = padding.Capacity()
     kept: tuple[Plan, ...] = ()  # drafts of the first cells
     cells: int = 0  # how many cells those are
@@ -135,7 +135,7 @@ class RunPlan(NamedTuple):
     def drafts(self, skip: int = 0) -> Iterator[Plan]:
         """Lay out all cells except the first `skip`."""
         many = lambda cell: self.wanted(cell).many  # noqa: E731
-        return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, apart=True)
+        return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, split_expensive=True)
 
     def programs(self) -> dict[Hashable, list[Plan]]:
         """Return the drafts that are kept, by the key of their compiled program."""
@@ -200,7 +200,7 @@ def plan_runs(owned: StudyClaim, todo: Gaps, wanted: SeedsOf) -> RunPlan:
 
     Drafts are kept, in the order of their cells, up to DRAFTS bytes. What several share counts once.
     """
-    plan, room, left = RunPlan(owned, todo, wanted, memo.once()), padding.Capacity(), DRAFTS
+    plan, room, left = RunPlan(owned, todo, wanted, memo.new_cache()), padding.Capacity(), DRAFTS
     kept: list[Plan] = []
     seen: set[int] = set()  # arrays, all alive in drafts that are kept
     for p in padding.check_drafts(plan.drafts()):

@@ -26,7 +26,7 @@ import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from pcbench.dataset import parquet_io
-from pcbench.errors import UserError, shown_address
+from pcbench.errors import UserError, redact_address
 from pcbench.runtime import ending
 
 NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
@@ -71,7 +71,7 @@ def target(out: str | Path) -> Target:
 
 @lru_cache(maxsize=16)
 def _remote(out: str) -> Target:
-    name = shown_address(out)
+    name = redact_address(out)
     try:
         fs, root = pafs.FileSystem.from_uri(out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:

@@ -201,7 +201,7 @@ def _tasks(cells: list[Cell], chosen: list[Block]) -> Iterator[task.Task]:
         again = {label for each in by.get(cell.key, {}).values() for label in each}
         asked.append(cell._replace(options={o: given for o, given in cell.options.items() if o in again}))
     room = padding.required_capacity(planning.drafts(cells, ()))
-    for draft in planning.drafts(asked, by, apart=True):
+    for draft in planning.drafts(asked, by, split_expensive=True):
         for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
                 yield task.Task(padding.fit_to_capacity(draft, room), ((seeds, labels),))

@@ -25,11 +25,11 @@ def resolve_observers(raw: TomlTable, where: str) -> TomlTable:
     """Return a raw study with every observer that can run instead of "all", and the reasons for the excluded ones."""
     if not parse.names_all(raw):
         return raw
-    given = raw["observers"]
-    kept, excluded = [name for name in given if name != ALL] if isinstance(given, list) else [], {}
+    observers = raw["observers"]
+    names, excluded = [name for name in observers if name != ALL] if isinstance(observers, list) else [], {}
     labels = [*OBSERVERS, *(label for label in raw.get("options") or {} if label not in ("scenario", "target"))]
     for label in dict.fromkeys(labels):
-        if label in kept:
+        if label in names:
             continue
         try:
             with config.float64():
@@ -37,23 +37,25 @@ def resolve_observers(raw: TomlTable, where: str) -> TomlTable:
         except UserError as error:
             excluded[label] = str(error)
         else:
-            kept.append(label)
-    if not kept:
+            names.append(label)
+    if not names:
         label, reason = next(iter(excluded.items()))
         raise UserError(f"{where}: observers: no observer can run; the first, {label}, is refused: {reason}")
-    return raw | {"observers": kept, "excluded": excluded or None}
+    return raw | {"observers": names, "excluded": excluded or None}
 
 
 def _try(raw: TomlTable, where: str, label: str) -> None:
     """Plan one observer at every grid point, with its own design if the study compares gains; or raise UserError."""
     grid = parse.grid(raw, where, FROM_HERE)
-    grids, designed = [grid], entry_in(grid.study, label).designed
-    if grid.study.tunings != ["published"] and designed:
+    grids, design_options = [grid], entry_in(grid.study, label).designed
+    if grid.study.tunings != ["published"] and design_options:
         options = raw.get("options") or {}
         grids.append(
-            parse.grid(raw | {"options": options | {label: options.get(label, {}) | dict(designed)}}, where, FROM_HERE)
+            parse.grid(
+                raw | {"options": options | {label: options.get(label, {}) | dict(design_options)}}, where, FROM_HERE
+            )
         )
-    for cell in (cell for each in grids for cell in each.cells):
+    for cell in (cell for g in grids for cell in g.cells):
         draft(cell, cell.options)
 
 
@@ -62,13 +64,13 @@ def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tu
     if ALL not in observers:
         return parse.one_cell(study, observers, overrides)
     raw = raw_of(study, overrides, FROM_HERE)
-    found = resolve_observers(raw | {"observers": observers}, where_of(study, raw))
-    return parse.one_cell(found, found["observers"], [])
+    table = resolve_observers(raw | {"observers": observers}, where_of(study, raw))
+    return parse.one_cell(table, table["observers"], [])
 
 
-def outline(what: str, overrides: list[str]) -> Study:
+def outline(source: str, overrides: list[str]) -> Study:
     """Return the named study, as `parse.outline`; "all" among its observers becomes those that can run."""
-    return parse.build_study(resolve_observers(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
+    return parse.build_study(resolve_observers(raw_of(source, overrides, FROM_HERE), source), source, FROM_HERE)
 
 
 def sentences(excluded: dict[str, str] | None) -> list[str]:

@@ -35,7 +35,7 @@ from pcbench.toml_text import TomlTable
 from pcbench.value_cache import key_of
 
 
-def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.uncached) -> NDArray[np.float64] | None:
+def bound(cell: Cell, context: DesignContext, cache: memo.Cache = memo.no_cache) -> NDArray[np.float64] | None:
     """Return the Bayesian bound of the RMSE over the tail, [n], or None if it does not apply.
 
     It applies to the true linear model with a deterministic schedule, Gaussian noise and Gaussian initial states.
@@ -53,26 +53,26 @@ def bound(cell: Cell, known: DesignContext, ask: memo.Once = memo.uncached) -> N
     clocks = cell.times.clocks
     if any(uncertain) or any(abnormal) or cell.times.random:
         return None
-    known = known._replace(noise_std=s.sampling.noise_std)  # the true value, not the assumed one
-    alike = key_of((known.model, known.dt, known.noise_covariance, s.truth.process_std))
-    key = alike, key_of((known.ticks, known.noise_covariance, known.P0, cell.times.tail)), tuple(clocks)
-    steps = ask("steps", alike, riccati.no_steps)
-    moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
+    context = context._replace(noise_std=s.sampling.noise_std)  # the true value, not the assumed one
+    model_key = key_of((context.model, context.dt, context.noise_covariance, s.truth.process_std))
+    key = model_key, key_of((context.ticks, context.noise_covariance, context.P0, cell.times.tail)), tuple(clocks)
+    steps = cache("steps", model_key, riccati.no_steps)
+    transitions = cache("moved", (model_key, context.ticks), lambda: _over_ticks(context, s.truth.process_std))
 
-    def least() -> NDArray[np.float64]:
-        _, C, R = assumed_noise.independent(known, None, known.model.C, known.scenario)
-        samples = common_times.times_of_samples(clocks, known.ticks)
-        tail = range(cell.times.tail, known.ticks)
-        return np.sqrt(riccati.posterior_variance(*moved, C, R, known.P0, samples, tail, steps))
+    def compute_bound() -> NDArray[np.float64]:
+        _, C, R = assumed_noise.independent(context, None, context.model.C, context.scenario)
+        samples = common_times.times_of_samples(clocks, context.ticks)
+        tail = range(cell.times.tail, context.ticks)
+        return np.sqrt(riccati.posterior_variance(*transitions, C, R, context.P0, samples, tail, steps))
 
-    return ask("bound", key, least)
+    return cache("bound", key, compute_bound)
 
 
-def _over_ticks(known: DesignContext, process_std: ProcessNoise) -> tuple[linear.Matrix, linear.Matrix]:
+def _over_ticks(context: DesignContext, process_std: ProcessNoise) -> tuple[linear.Matrix, linear.Matrix]:
     """Return the transition and the noise of the true model over 2^b ticks."""
-    doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
-    added = known._replace(process_std=process_std).process_noise
-    return doubled, linear.noise_doublings(known.model, added, known.dt, len(doubled))
+    transitions = linear.doublings(context.model, context.dt, linear.bits_for(context.ticks))
+    noise = context._replace(process_std=process_std).process_noise
+    return transitions, linear.noise_doublings(context.model, noise, context.dt, len(transitions))
 
 
 def plan(study: Study) -> list[Plan]:
@@ -81,59 +81,63 @@ def plan(study: Study) -> list[Plan]:
 
 
 def drafts(
-    every: list[Cell],
-    wanted: Container[tuple[str, int]] | None = None,
-    ask: memo.Once | None = None,
+    cells: list[Cell],
+    keys: Container[tuple[str, int]] | None = None,
+    cache: memo.Cache | None = None,
     runs: Callable[[Cell], int] | None = None,
     skip: int = 0,
-    apart: bool = False,
+    split_expensive: bool = False,
 ) -> Iterator[Plan]:
     """Yield a draft of every grid point except the first `skip`; in a closed loop one per observer, as each has its own plant.
 
-    If `apart`, each expensive observer also has its own draft. If processors have a limited speed, every observer does.
+    If `split_expensive`, each expensive observer also has its own draft. If processors have a limited speed, every observer
+    does.
 
-    Grid points whose key is not in `wanted` (None: all are) are drafted without gains, to find the room that a program needs.
-    `ask` is a cache that grid points share. `runs` returns the number of runs of a grid point, which limits the width.
+    Grid points whose key is not in `keys` (None: all are) are drafted without gains, to find the room that a program needs.
+    `cache` is a cache that grid points share. `runs` returns the number of runs of a grid point, which limits the width.
     """
-    ask = ask or memo.once()
-    most: dict[str, DesignContext] = {}
-    limited = any(isfinite(cell.scenario.sampling.processor_speed) for cell in every)
-    each = [_groups(cell, ask, limited, apart, wanted is None or cell.key in wanted) for cell in every]
-    settings = [{tuple(own.times.clocks): setting(own, ask) for own, _ in groups} for groups in each]
-    for cell, known in ((cell, known) for cell, found in zip(every, settings, strict=True) for known in found.values()):
-        if not cell.times.random:
-            most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
-    for groups, found in zip(each[skip:], settings[skip:], strict=True):
+    cache = cache or memo.new_cache()
+    largest: dict[str, DesignContext] = {}
+    is_limited = any(isfinite(cell.scenario.sampling.processor_speed) for cell in cells)
+    groups_by_cell = [
+        _groups(cell, cache, is_limited, split_expensive, keys is None or cell.key in keys) for cell in cells
+    ]
+    contexts = [{tuple(c.times.clocks): setting(c, cache) for c, _ in groups} for groups in groups_by_cell]
+    for cell, by_clocks in zip(cells, contexts, strict=True):
+        for context in by_clocks.values() if not cell.times.random else ():
+            largest[cell.scenario.plant] = context.roomier(largest.get(cell.scenario.plant, context))
+    for groups, by_clocks in zip(groups_by_cell[skip:], contexts[skip:], strict=True):
         for cell, options in groups:
-            known = found[tuple(cell.times.clocks)]
+            context = by_clocks[tuple(cell.times.clocks)]
             if cell.times.random:  # room for all would cost more than another program
-                known = known._replace(spare=power_of_2(known.overtaking))
+                context = context._replace(spare=power_of_2(context.overtaking))
             else:
-                known = known.roomier(most[cell.scenario.plant])
-            p = draft(cell, options, known, ask)
+                context = context.roomier(largest[cell.scenario.plant])
+            p = draft(cell, options, context, cache)
             yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell), options))) if runs else p
 
 
 Group = tuple[Cell, dict[str, BaseModel]]
 
 
-def _groups(cell: Cell, ask: memo.Once, limited: bool, apart: bool, asked: bool) -> list[Group]:
+def _groups(cell: Cell, cache: memo.Cache, is_limited: bool, split_expensive: bool, has_options: bool) -> list[Group]:
     """Return groups of observers that share a program: the grid point with the samples they can process, and their options.
 
-    With a processor of limited speed (`limited`) no program is shared. If not `asked`, the options are empty.
+    With a processor of limited speed (`is_limited`) no program is shared. If not `has_options`, the options are empty.
     """
-    alone = limited or bool(cell.scenario.loop.controller)
-    own = [o for o in cell.options if alone or (apart and cell.entry(o).expensive)]  # each has its own program
-    others = {o: given for o, given in cell.options.items() if o not in own}
-    groups = [(cell, others), *((slowed(cell, o, ask), {o: cell.options[o]}) for o in own)]
-    if not asked:
-        return [(each, {}) for each, _ in (groups if limited else groups[:1])]
+    is_separate = is_limited or bool(cell.scenario.loop.controller)
+    # each has its own program
+    separate = [o for o in cell.options if is_separate or (split_expensive and cell.entry(o).expensive)]
+    common = {o: values for o, values in cell.options.items() if o not in separate}
+    groups = [(cell, common), *((slowed(cell, o, cache), {o: cell.options[o]}) for o in separate)]
+    if not has_options:
+        return [(c, {}) for c, _ in (groups if is_limited else groups[:1])]
     return [group for group in groups if group[1]] or [(cell, {})]
 
 
-def slowed(cell: Cell, label: str, ask: memo.Once = memo.uncached) -> Cell:
+def slowed(cell: Cell, label: str, cache: memo.Cache = memo.no_cache) -> Cell:
     """Return a grid point with the samples that an observer's processor has time for (`processor`)."""
-    s, speed, usual = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
+    s, speed, times = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
     if not isfinite(speed):
         return cell
     free = cell.having(processor_speed=inf)
@@ -143,8 +147,8 @@ def slowed(cell: Cell, label: str, ask: memo.Once = memo.uncached) -> Cell:
         return operation_counts.counter(p, *p.layout.observers[0])
 
     key = identity(free, 0), label, options_digest(cell.options[label], cell.own.get(label))
-    load = processor.load_of(ask("counters", key, count), usual.clocks[0], usual.ticks, speed, s.dt)
-    return cell._replace(times=processor.slowed(usual, load))
+    load = processor.load_of(cache("counters", key, count), times.clocks[0], times.ticks, speed, s.dt)
+    return cell._replace(times=processor.with_load(times, load))
 
 
 def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
@@ -155,8 +159,8 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     """
     if cell.engine == "definition":
         return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
-    if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
-        return min(fixed)
+    if widths := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
+        return min(widths)
     most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
     if runs is None or cell.scenario.loop.controller or cell.times.random:
         return most
@@ -164,15 +168,15 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
 
 
 def draft(
-    cell: Cell, options: dict[str, BaseModel], known: DesignContext | None = None, ask: memo.Once = memo.uncached
+    cell: Cell, options: dict[str, BaseModel], context: DesignContext | None = None, cache: memo.Cache = memo.no_cache
 ) -> Plan:
     """Return the plan of one grid point for the observers in `options`; `padding.fit` gives it a common shape later."""
-    s, known = cell.scenario, known or setting(cell, ask)
+    s, context = cell.scenario, context or setting(cell, cache)
     true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {
-        o: ask("designs", (cell.key, o), partial(memo.run_design, o, cell.entry(o), known, given))
-        for o, given in options.items()
+        o: cache("designs", (cell.key, o), partial(memo.run_design, o, cell.entry(o), context, values))
+        for o, values in options.items()
     }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers: TomlTable = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
@@ -181,31 +185,33 @@ def draft(
         clock = cell.times.clocks[0]
         numbers["sensor_delay"] = float((clock.period if clock.delay is None else clock.delay) + clock.later) * s.dt
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
-    around = choices.random_initial_state and bool(belief.initial_box)
-    drawn = choices.random_initial_state and not around
-    chance, scale, step = measured.outlier_probability, measured.outlier_scale, measured.quantization_step
+    has_box = choices.random_initial_state and bool(belief.initial_box)
+    from_prior = choices.random_initial_state and not has_box
+    probability, scale, step = measured.outlier_probability, measured.outlier_scale, measured.quantization_step
     outliers: Outliers | tuple[()] = ()
-    if chance:
-        many = len(measured.delay) if isinstance(chance, tuple) or isinstance(scale, tuple) else 0
-        outliers = Outliers(*(np.asarray(per_channel(a, many) if many else a) for a in (chance, scale)))
+    if probability:
+        n_channels = len(measured.delay) if isinstance(probability, tuple) or isinstance(scale, tuple) else 0
+        outliers = Outliers(
+            *(np.asarray(per_channel(a, n_channels) if n_channels else a) for a in (probability, scale))
+        )
     key = tuple(cell.times.clocks), n, cell.times.error, measured.continuous, len(measured.delay)
-    schedule, room = ask("schedule", key, lambda: schedule_of(cell))
+    schedule, room = cache("schedule", key, lambda: schedule_of(cell))
     problem = GridPointParams(
-        params=prepare_params(plant, plants.replace_numbers(plants.numbers_of(s), numbers), s.dt, n, ask),
+        params=prepare_params(plant, plants.replace_numbers(plants.numbers_of(s), numbers), s.dt, n, cache),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
-        inputs=_inputs(cell, known, ask),
+        inputs=_inputs(cell, context, cache),
         dt=np.asarray(s.dt),
-        x0=np.array(belief.xhat0 if drawn else true.x0),
-        xhat0=np.array(true.x0 if around else belief.xhat0),
-        spread0=np.diag(belief.prior_std if drawn else choices.initial_spread * np.abs(true.x0)),
+        x0=np.array(belief.xhat0 if from_prior else true.x0),
+        xhat0=np.array(true.x0 if has_box else belief.xhat0),
+        spread0=np.diag(belief.prior_std if from_prior else choices.initial_spread * np.abs(true.x0)),
         noise_std=np.array(measured.noise_std),
         band=np.array(s.scoring.settle_band),
         bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), len(s.scoring.settle_band)),
         windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
-        scatter=np.array(belief.initial_box) * around,
+        scatter=np.array(belief.initial_box) * has_box,
         network=loop_setup.network(cell),
         weights=loop_setup.weights(cell),
         outliers=outliers,
@@ -214,7 +220,7 @@ def draft(
         tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
     )
-    unlimited = (
+    unlimited_cell = (
         cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell
     )  # without the limit of a processor
     layout = Layout(
@@ -222,7 +228,7 @@ def draft(
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
         width=width(cell, labels=options),
         ring=room,
-        random_initial_state=drawn or choices.initial_spread > 0,
+        random_initial_state=from_prior or choices.initial_spread > 0,
         continuous=measured.continuous,
         drifting=bool(true.parameter_drift and plant.plant.of_run),
         controller=loop_setup.controller(cell),
@@ -236,10 +242,10 @@ def draft(
         layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
-        bound=bound(unlimited, known, ask) if options else None,
+        bound=bound(unlimited_cell, context, cache) if options else None,
         predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
-        reach=loop_setup.reach(cell, known.overtaking, n) if s.loop.controller else None,
+        reach=loop_setup.reach(cell, context.overtaking, n) if s.loop.controller else None,
     )
 
 
@@ -251,23 +257,23 @@ def _trigger(measured: Sampling) -> Trigger | tuple[()]:
     return Trigger(np.array(threshold), np.asarray(measured.try_once_discard))
 
 
-def _inputs(cell: Cell, known: DesignContext, ask: memo.Once) -> NDArray[np.float64]:
+def _inputs(cell: Cell, context: DesignContext, cache: memo.Cache) -> NDArray[np.float64]:
     """Return the applied input of an open loop, [N+1, m]: 0 until the actuator's delay has passed.
 
     - If a controller computes the input: one row of NaN, as nothing may read it.
     - If the plant's output is C x + D u: zeros, as D is 0 in a closed loop.
     """
-    s, m = cell.scenario, known.model.B.shape[1]
+    s, m = cell.scenario, context.model.B.shape[1]
     if s.loop.controller:
         return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     n = cell.times.ticks
-    late = min(to_ticks(s.loop.actuator_delay or 0.0, s), n + 1)
+    delay = min(to_ticks(s.loop.actuator_delay or 0.0, s), n + 1)
 
-    def delayed() -> NDArray[np.float64]:
+    def delayed_input() -> NDArray[np.float64]:
         u = inputs(s.loop.input, s.dt * np.arange(n + 1, dtype=float), m)
-        return np.concatenate([np.zeros((late, u.shape[1])), u[: n + 1 - late]])
+        return np.concatenate([np.zeros((delay, u.shape[1])), u[: n + 1 - delay]])
 
-    u = ask("inputs", (s.loop.input, s.dt, n, m, late), delayed)
+    u = cache("inputs", (s.loop.input, s.dt, n, m, delay), delayed_input)
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "

@@ -46,17 +46,19 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
     steady_mae = steady_mae[: len(actual)]  # without user-defined errors
     size = np.abs(actual[: len(steady_mae)])
     overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a closed loop the estimate may cause it
-    lost = overflows | (np.isfinite(size) & (EPS * size > PART * steady_mae))
-    share = lost.mean(-1)
+    is_rounding = overflows | (np.isfinite(size) & (EPS * size > PART * steady_mae))
+    share = is_rounding.mean(-1)
     if share.max(initial=0.0) <= 0.5:
         return
     worst, typical = int(share.argmax()), np.median(np.abs(actual), -1)
     if np.isfinite(typical[worst]) and not _matters(p, typical):
         return
-    s, size_of_it = p.cell.scenario, float(typical[worst])
+    s, typical_size = p.cell.scenario, float(typical[worst])
     name, unit = signals_of(s)[worst]
-    if np.isfinite(size_of_it):
-        reaches = f"reaches {amount(size_of_it, unit)}, where float64 numbers are {np.spacing(size_of_it):.1g} apart"
+    if np.isfinite(typical_size):
+        reaches = (
+            f"reaches {amount(typical_size, unit)}, where float64 numbers are {np.spacing(typical_size):.1g} apart"
+        )
     else:
         reaches = f"grows beyond {np.finfo(np.float64).max:.1e}, the largest float64"
     steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
@@ -69,8 +71,8 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
 def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
     """Raise DigitsError if rounding decides an observer's errors in one run: x [N+1, n + s], estimates [N+1, m]."""
     last = p.cell.times.ticks
-    for label, found in zip(p.labels, estimates, strict=True):
-        error = np.abs(x[p.cell.times.tail : last, : found.shape[1]] - found[p.cell.times.tail : last])
+    for label, estimate in zip(p.labels, estimates, strict=True):
+        error = np.abs(x[p.cell.times.tail : last, : estimate.shape[1]] - estimate[p.cell.times.tail : last])
         require_of(p, x[last - 1][:, None], error.mean(0)[:, None])
         _require_response(p, label, error.mean(0)[:, None])
 
@@ -80,7 +82,7 @@ def unresolved_signals(size: Floats, steady_mae: Floats, limits: list[tuple[Floa
 
     `limits` are pairs of sizes and reference values: settling bands of signals, noise of measurements.
     """
-    matters = any(_exceeds_trifle(each, least) for each, least in limits)
+    matters = any(_exceeds_trifle(s, least) for s, least in limits)
     return np.flatnonzero(matters & (EPS * size > PART * steady_mae)).tolist()
 
 
@@ -96,13 +98,13 @@ def response_size(p: Plan, label: str) -> Floats | None:
         return None
     s, n = p.cell.scenario, len(p.problem.x0)
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = np.abs(np.linalg.matrix_power(np.asarray(motion.Phi), p.cell.times.ticks)[:n, :n])
-        return np.asarray(moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std)))
+        growth = np.abs(np.linalg.matrix_power(np.asarray(motion.Phi), p.cell.times.ticks)[:n, :n])
+        return np.asarray(growth @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std)))
 
 
-def describe_response(p: Plan, size: Floats, which: NDArray[np.bool_]) -> str:
+def describe_response(p: Plan, size: Floats, mask: NDArray[np.bool_]) -> str:
     """Return a clause about the largest response among the states `which` [n]."""
-    i = int(np.argmax(np.where(which, size, 0.0)))
+    i = int(np.argmax(np.where(mask, size, 0.0)))
     name, unit = signals_of(p.cell.scenario)[i]
     reaches = amount(float(size[i]), unit)
     return f"keeps the response of {name} to the input without the feedback, which grows to about {reaches}"
@@ -113,11 +115,11 @@ def _require_response(p: Plan, label: str, steady_mae: Floats) -> None:
     size = response_size(p, label)
     if size is None:
         return
-    lost = (EPS * size[:, None] > PART * steady_mae[: len(size)]).mean(-1) > 0.5
-    lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]
-    if lost.any():
+    mask = (EPS * size[:, None] > PART * steady_mae[: len(size)]).mean(-1) > 0.5
+    mask &= EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]
+    if mask.any():
         raise DigitsError(
-            f"{p.cell.scenario.name}, cell {p.cell.number}: {label} {describe_response(p, size, lost)}, so that fewer than two "
+            f"{p.cell.scenario.name}, cell {p.cell.number}: {label} {describe_response(p, size, mask)}, so that fewer than two "
             "digits of its errors are left in float64; expected a smaller one: take a shorter horizon, kf or ekf."
         )
 

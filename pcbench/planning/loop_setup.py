@@ -29,8 +29,8 @@ class Reach(NamedTuple):
 
 def options(cell: Cell) -> BaseModel:
     """Return the options of a closed loop's controller: the scenario's, overridden by the study's."""
-    s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
-    return controllers.entry_of(s).options.model_validate(dict(s.loop.control) | chosen)
+    s, choices = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
+    return controllers.entry_of(s).options.model_validate(dict(s.loop.control) | choices)
 
 
 def controller(cell: Cell) -> Controller | None:
@@ -46,21 +46,21 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     - `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
-    known = oldest(cell, overtaking, ticks)
+    age = oldest(cell, overtaking, ticks)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
-    back = command_network.rows_needed(delay, s.dt, ticks, known + 1)
+    back = command_network.rows_needed(delay, s.dt, ticks, age + 1)
     return Reach(back, times.to_ticks(longest, s) + 2 + times.to_ticks(s.loop.command_jitter, s))
 
 
 def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
     """Return the largest age [ticks] of an input that an observer may read, as old as the oldest usable sample."""
     if cell.scenario.sampling.sensors_decide:  # the last sample sent may have any age
-        found = ticks
+        age = ticks
     elif cell.times.random:
-        found = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)
+        age = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)
     else:
-        found = common_times.oldest(common_times.samples(cell.times.clocks, ticks), overtaking)
-    return found + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
+        age = common_times.oldest(common_times.samples(cell.times.clocks, ticks), overtaking)
+    return age + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
 
 
 def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
@@ -81,26 +81,26 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
 
     Raises UserError if a user-defined controller violates the protocol.
     """
-    s, known = cell.scenario, make_controller_context(cell, reach, ticks)
+    s, context = cell.scenario, make_controller_context(cell, reach, ticks)
     entry, name = controllers.entry_of(s), s.loop.controller
     if "controller" not in s.own:
-        law = entry.prepare(options(cell), known)
+        law = entry.prepare(options(cell), context)
     else:
         try:
-            law = entry.prepare(options(cell), known)
-            traced = jax.tree.map(np.asarray, law)
+            law = entry.prepare(options(cell), context)
+            arrays = jax.tree.map(np.asarray, law)
         except UserError:
             raise
         except Exception as error:
             raise UserError(
                 f"controller {name}: prepare: got {describe_exception(error)}, expected a pytree of arrays; correct that line."
             ) from error
-        (n, m), signals = known.model.B.shape, len(s.scoring.settle_band)
+        (n, m), signals = context.model.B.shape, len(s.scoring.settle_band)
         sizes = law_conformance.Sizes(n, signals - n, m)
-        law_conformance.check(name, controllers.law_of(entry, options(cell)), traced, sizes)
+        law_conformance.check(name, controllers.law_of(entry, options(cell)), arrays, sizes)
     if controller_table.has_generic_controller(s):
-        return law, command_network.held_line(known.late, reach.back, ticks + reach.ahead)
-    return law, command_network.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
+        return law, command_network.held_line(context.late, reach.back, ticks + reach.ahead)
+    return law, command_network.line(context.delay, s.dt, reach.back, ticks + reach.ahead)
 
 
 def pending(cell: Cell) -> int:
@@ -129,13 +129,13 @@ def weights(cell: Cell) -> metrics.Weights | tuple[()]:
     s = cell.scenario
     if not controller_table.has_generic_controller(s):
         return ()
-    given, known = options(cell), controller_table.controller_context(s)
-    n, m = known.model.B.shape
+    law_options, context = options(cell), controller_table.controller_context(s)
+    n, m = context.model.B.shape
     none = np.zeros((0, n)), np.zeros((0, m))
-    Q1, Q2 = getattr(given, "Q1", None), getattr(given, "Q2", None)
+    Q1, Q2 = getattr(law_options, "Q1", None), getattr(law_options, "Q2", None)
     if Q1 is None:
         return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)), *none)
-    points = given.set_point if isinstance(given, Options) else {}
-    aims = reference(points, known.states, known.tick, known.dt, cell.times.ticks + 1) if points else none
+    points = law_options.set_point if isinstance(law_options, Options) else {}
+    aims = reference(points, context.states, context.tick, context.dt, cell.times.ticks + 1) if points else none
     sizes = controller_table.sizes(s, "controller")
     return metrics.Weights(matrix(Q1, (n, n), "Q1", sizes), matrix(Q2, (m, m), "Q2", sizes), *aims)

@@ -22,18 +22,18 @@ EXPECTED = "expected Design(gains, Certificate)"
 T = TypeVar("T")
 
 
-class Once(Protocol):
+class Cache(Protocol):
     """A function that returns a cached value or computes it."""
 
     def __call__(self, kind: str, key: Hashable, make: Callable[[], T], /) -> T:
         """Return the value of `make()`; `key` has everything it depends on, among values of one `kind`."""
 
 
-def once() -> Once:
+def new_cache() -> Cache:
     """Return a cache that keeps the most recently used values of each kind."""
     by_kind: dict[str, OrderedDict[Hashable, Any]] = {}
 
-    def ask(kind: str, key: Hashable, make: Callable[[], T]) -> T:
+    def cache(kind: str, key: Hashable, make: Callable[[], T]) -> T:
         entries: OrderedDict[Hashable, T] = by_kind.setdefault(kind, OrderedDict())
         if key not in entries:
             entries[key] = make()
@@ -42,20 +42,20 @@ def once() -> Once:
             entries.popitem(last=False)
         return entries[key]
 
-    return ask
+    return cache
 
 
-def uncached(kind: str, key: Hashable, make: Callable[[], T]) -> T:
+def no_cache(kind: str, key: Hashable, make: Callable[[], T]) -> T:
     """Compute the value without a cache."""
     return make()
 
 
-def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: BaseModel) -> Design:
+def run_design(label: str, entry: ObserverSpec, context: DesignContext, options: BaseModel) -> Design:
     """Return an observer's gains with their certificate; raise UserError if the design fails or does not return a Design."""
     code = getattr(inspect.unwrap(entry.design), "__code__", None)
     where = f", {os.path.basename(code.co_filename)} line {code.co_firstlineno}" if code else ""
     try:
-        found = entry.design(known, options)
+        design = entry.design(context, options)
     except UserError:
         raise
     except Exception as error:
@@ -65,6 +65,6 @@ def run_design(label: str, entry: ObserverSpec, known: DesignContext, options: B
         raise UserError(
             f"observer {label}: design got {describe_exception(error)}{place}, {EXPECTED}; correct that line."
         ) from error
-    if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
-        raise UserError(f"observer {label}: design returned {type(found).__name__}{where}, {EXPECTED}; correct it.")
-    return found
+    if not isinstance(design, Design) or not isinstance(design.certificate, Certificate):
+        raise UserError(f"observer {label}: design returned {type(design).__name__}{where}, {EXPECTED}; correct it.")
+    return design

@@ -52,22 +52,22 @@ def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Itera
 
 def oldest_missing_input(cell: Cell, label: str, study: Study) -> int | None:
     """Return the age [ticks] of the oldest input that is read but not stored in one run; None: all are stored."""
-    planned = next(p for p in padding.fit(list(drafts([cell]))) if label in p.labels)
-    p: Plan = alone(planned, study.root_seed, study.first_seed)
+    plan = next(p for p in padding.fit(list(drafts([cell]))) if label in p.labels)
+    p: Plan = alone(plan, study.root_seed, study.first_seed)
     ages: list[int] = []
 
     def report(age: Array, missing: Array) -> None:
         if missing:  # under vmap the callback runs for every element
             ages.append(int(age))
 
-    observers = tuple((name, _reporting(o, report)) for name, o in p.layout.observers)
+    observers = tuple((name, _with_report(o, report)) for name, o in p.layout.observers)
     record = jax.jit(partial(trajectory.record, p.layout._replace(observers=observers)))
     jax.block_until_ready(record(p.problem, np.asarray(study.root_seed), np.asarray(study.first_seed)))
     jax.effects_barrier()
     return max(ages, default=None)
 
 
-def _reporting(o: Observer, report: Report) -> Observer:
+def _with_report(o: Observer, report: Report) -> Observer:
     """Return an observer with the same estimates that reports each read of an input that is not stored."""
 
     def watch(now: Now) -> Now:

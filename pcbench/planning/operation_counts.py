@@ -48,29 +48,32 @@ def costs(p: Plan) -> dict[str, Cost]:
     clocks = p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     period = max(clock.period for clock in clocks)
-    return {label: counter(p, *one)(age, period) for label, one in zip(p.labels, p.layout.observers, strict=True)}
+    return {
+        label: counter(p, *observer)(age, period) for label, observer in zip(p.labels, p.layout.observers, strict=True)
+    }
 
 
 def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
     """Return a function (age of samples, ticks between them) -> Cost of an observer; the observer is traced once."""
     problem: GridPointParams = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains, q, ticks = problem.gains[name], len(p.cell.scenario.sampling.delay), p.cell.times.ticks
-    one, start = jnp.ones(q), jax.tree.map(jnp.asarray, jax.jit(o.init)(gains, problem.xhat0))
-    worn = _worn(o, problem, gains, start, q)
+    ones, start = jnp.ones(q), jax.tree.map(jnp.asarray, jax.jit(o.init)(gains, problem.xhat0))
+    memory_at = _memory_at_sample(o, problem, gains, start, q)
 
     def snapshot(memory: Memory, k: Array) -> PyTree:
         return o.snapshot(gains, memory, present(problem, k, False))
 
     def sample(gains: Gains, memory: Memory, value: Array, k: Array, age: Array, snapshot: PyTree) -> PyTree:
         now = present(problem, k, False)
-        sampled = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
-        return o.snapshot(gains, sampled, now), o.jump(gains, sampled, now, _arrival(value, age, snapshot))
+        if o.on_sample:
+            memory = o.on_sample(gains, memory, now, jnp.ones(q, bool))
+        return o.snapshot(gains, memory, now), o.jump(gains, memory, now, _arrival(value, age, snapshot))
 
     def tick(gains: Gains, memory: Memory, k: Array) -> PyTree:
         return o.flow(gains, memory, present(problem, k, True)), o.estimate(gains, memory)
 
     k = jnp.asarray(1)
-    of_sample = jax.make_jaxpr(sample)(gains, start, one, k, k, snapshot(start, k))
+    of_sample = jax.make_jaxpr(sample)(gains, start, ones, k, k, snapshot(start, k))
     of_tick = jax.make_jaxpr(tick)(gains, start, k)
     size = sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(start))
     clock = count_multiplications(
@@ -80,10 +83,10 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
     @cache
     def cost(age: int, period: int) -> Cost:
         last = max((ticks - age) // period, 1)
-        memory, k = worn(last, age, period), jnp.asarray(age + last * period)
-        arrived = one, k, jnp.asarray(age), snapshot(memory, k - age)
-        many = _count(of_sample, (gains, memory, *arrived)), _count(of_tick, (gains, memory, k))
-        return Cost(many[0] - clock, many[1] - clock, size)
+        memory, k = memory_at(last, age, period), jnp.asarray(age + last * period)
+        arrived = ones, k, jnp.asarray(age), snapshot(memory, k - age)
+        counts = _count(of_sample, (gains, memory, *arrived)), _count(of_tick, (gains, memory, k))
+        return Cost(counts[0] - clock, counts[1] - clock, size)
 
     return cost
 
@@ -93,30 +96,33 @@ def _arrival(value: Array, age: Array, snapshot: PyTree) -> Arrival:
     return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), snapshot, jnp.asarray(1))
 
 
-def _worn(o: Observer, p: GridPointParams, gains: Gains, start: Memory, q: int) -> Callable[[int, int, int], Memory]:
+def _memory_at_sample(
+    o: Observer, p: GridPointParams, gains: Gains, start: Memory, q: int
+) -> Callable[[int, int, int], Memory]:
     """Return a function for the initial memory with the integers that it has before sample `last` arrives."""
     leaves, tree = jax.tree.flatten(start)
-    whole = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
-    if not any(whole):
+    is_integer = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
+    if not any(is_integer):
         return lambda last, age, period: jax.tree.unflatten(tree, leaves)
 
-    def with_(ticks: Sequence[Array]) -> Memory:
+    def unflatten(ticks: Sequence[Array]) -> Memory:
         new = iter(ticks)
-        return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(whole, leaves, strict=True)])
+        return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(is_integer, leaves, strict=True)])
 
     def after(age: Array, period: Array, number: Array, ticks: Sequence[Array]) -> list[Array]:
-        memory, now = with_(ticks), present(p, age + number * period, False)
+        memory, now = unflatten(ticks), present(p, age + number * period, False)
         snapshot = o.snapshot(gains, memory, present(p, number * period, False))
-        sampled = o.on_sample(gains, memory, now, jnp.ones(q, bool)) if o.on_sample else memory
-        new = jax.tree.leaves(o.jump(gains, sampled, now, _arrival(jnp.ones(q), age, snapshot)))
-        return [a.astype(b.dtype) for a, b, w in zip(new, leaves, whole, strict=True) if w]
+        if o.on_sample:
+            memory = o.on_sample(gains, memory, now, jnp.ones(q, bool))
+        new = jax.tree.leaves(o.jump(gains, memory, now, _arrival(jnp.ones(q), age, snapshot)))
+        return [a.astype(b.dtype) for a, b, w in zip(new, leaves, is_integer, strict=True) if w]
 
     @jax.jit
     def until(last: Array, age: Array, period: Array) -> list[Array]:
-        before = [a for a, w in zip(leaves, whole, strict=True) if w]
+        before = [a for a, w in zip(leaves, is_integer, strict=True) if w]
         return lax.fori_loop(0, last, partial(after, age, period), before)
 
-    return lambda last, age, period: with_(until(last, age, period))
+    return lambda last, age, period: unflatten(until(last, age, period))
 
 
 def count_multiplications(f: Callable[..., PyTree], *args: PyTree) -> int:
@@ -125,8 +131,8 @@ def count_multiplications(f: Callable[..., PyTree], *args: PyTree) -> int:
 
 
 def _count(closed: ClosedJaxpr, args: PyTree) -> int:
-    consts, given = ([*map(_constant_value, each)] for each in (closed.consts, jax.tree.leaves(args)))
-    return _walk_jaxpr(closed.jaxpr, consts, given)[0]
+    consts, inputs = ([*map(_constant_value, v)] for v in (closed.consts, jax.tree.leaves(args)))
+    return _walk_jaxpr(closed.jaxpr, consts, inputs)[0]
 
 
 def _constant_value(value: ArrayLike) -> Value:
@@ -141,73 +147,75 @@ def _walk_jaxpr(
     With `only`, the other equations are skipped and their results must not be read.
     """
     env: dict[Any, Value] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
-    left_out = _constant_value(np.nan)
+    placeholder = _constant_value(np.nan)
 
     def read(v: Any) -> Value:
-        return _constant_value(v.val) if _literal(v) else env.get(v, left_out)
+        return _constant_value(v.val) if _literal(v) else env.get(v, placeholder)
 
     total = 0
     for i, eqn in enumerate(jaxpr.eqns):
         if only is not None and i not in only:
             continue
-        many, out = _step(eqn, [*map(read, eqn.invars)])
-        total += many
+        count, out = _step(eqn, [*map(read, eqn.invars)])
+        total += count
         env.update(zip(eqn.outvars, out, strict=True))
     return total, [*map(read, jaxpr.outvars)]
 
 
-def _step(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
+def _step(eqn: Eqn, inputs: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
     if name in jaxpr_compat.CALLS:
         program = jaxpr_compat.callee(eqn.params)
-        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], given)
+        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], inputs)
     if name == "cond":
-        program = jaxpr_compat.branches(eqn.params)[int(np.asarray(given[0]()))]
-        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], given[1:])
+        program = jaxpr_compat.branches(eqn.params)[int(np.asarray(inputs[0]()))]
+        return _walk_jaxpr(program.jaxpr, [*map(_constant_value, program.consts)], inputs[1:])
     if name == "while":
-        return _while(eqn, given)
+        return _while(eqn, inputs)
 
     @cache
-    def made() -> Sequence[ArrayLike]:  # the operation's results, computed on demand
-        out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
+    def results() -> Sequence[ArrayLike]:  # the operation's results, computed on demand
+        out = eqn.primitive.bind(*(v() for v in inputs), **eqn.params)
         return out if eqn.primitive.multiple_results else [out]
 
-    out: list[Value] = [partial(lambda i: made()[i], i) for i in range(len(eqn.outvars))]
+    out: list[Value] = [partial(lambda i: results()[i], i) for i in range(len(eqn.outvars))]
     if name == "scan":
         body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
-        rows: list[Value] = [partial(lambda rows: rows()[0], row) for row in given[consts + carry :]]
-        held = [*map(_constant_value, body.consts)]
-        return length * (_walk_jaxpr(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
+        rows: list[Value] = [partial(lambda rows: rows()[0], row) for row in inputs[consts + carry :]]
+        body_consts = [*map(_constant_value, body.consts)]
+        return length * (
+            _walk_jaxpr(body.jaxpr, body_consts, [*inputs[: consts + carry], *rows])[0] if length else 0
+        ), out
     return _products(eqn), out
 
 
-def _while(eqn: Eqn, given: list[Value]) -> tuple[int, list[Value]]:
+def _while(eqn: Eqn, inputs: list[Value]) -> tuple[int, list[Value]]:
     """Return a loop's multiplications and outputs.
 
     If all rounds cost the same, one round is counted. Only the values that decide the number of rounds are then computed.
     """
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
-    asked, fixed, start = given[:first], given[first : first + second], given[first + second :]
-    held, inside = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
+    cond_args, body_args, start = inputs[:first], inputs[first : first + second], inputs[first + second :]
+    cond_consts, body_consts = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
 
-    def rounds(only: set[int] | None, kept: set[int]) -> tuple[int, list[Value]]:
+    def rounds(only: set[int] | None, entries: set[int]) -> tuple[int, list[Value]]:
         state = start
-        total, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
+        total, goes_on = _walk_jaxpr(cond.jaxpr, cond_consts, [*cond_args, *state])
         while bool(goes_on[0]()):
-            each, moved = _walk_jaxpr(body.jaxpr, inside, [*fixed, *state], only)
-            state = [new if i in kept else old for i, (new, old) in enumerate(zip(moved, state, strict=True))]
-            more, goes_on = _walk_jaxpr(cond.jaxpr, held, [*asked, *state])
-            total += (each if only is None else one) + more
+            round_cost, new_state = _walk_jaxpr(body.jaxpr, body_consts, [*body_args, *state], only)
+            state = [new if i in entries else old for i, (new, old) in enumerate(zip(new_state, state, strict=True))]
+            cond_cost, goes_on = _walk_jaxpr(cond.jaxpr, cond_consts, [*cond_args, *state])
+            total += (round_cost if only is None else body_cost) + cond_cost
         return total, state
 
-    every = set(range(len(start)))
+    all_entries = set(range(len(start)))
     if _chooses(cond.jaxpr) or _chooses(body.jaxpr):
-        return rounds(None, every)
-    one = _walk_jaxpr(body.jaxpr, inside, [*fixed, *start])[0]
-    kept, only = _deciding(cond.jaxpr, body.jaxpr, first, second)
-    total, state = rounds(only, kept)
-    whole = cache(lambda: rounds(None, every)[1])
-    return total, [state[i] if i in kept else partial(lambda i: whole()[i](), i) for i in range(len(start))]
+        return rounds(None, all_entries)
+    body_cost = _walk_jaxpr(body.jaxpr, body_consts, [*body_args, *start])[0]
+    entries, only = _condition_inputs(cond.jaxpr, body.jaxpr, first, second)
+    total, state = rounds(only, entries)
+    full_state = cache(lambda: rounds(None, all_entries)[1])
+    return total, [state[i] if i in entries else partial(lambda i: full_state()[i](), i) for i in range(len(start))]
 
 
 def _chooses(jaxpr: Jaxpr) -> bool:
@@ -221,25 +229,25 @@ def _chooses(jaxpr: Jaxpr) -> bool:
     return False
 
 
-def _deciding(cond: Jaxpr, body: Jaxpr, first: int, second: int) -> tuple[set[int], set[int]]:
+def _condition_inputs(cond: Jaxpr, body: Jaxpr, first: int, second: int) -> tuple[set[int], set[int]]:
     """Return the entries of a loop's state that its condition depends on, and the equations of its body that compute them."""
 
-    def needed(jaxpr: Jaxpr, places: set[int]) -> tuple[set[int], set[Any]]:
-        equations, wanted = set[int](), {v for i in places if not _literal(v := jaxpr.outvars[i])}
+    def dependencies(jaxpr: Jaxpr, places: set[int]) -> tuple[set[int], set[Any]]:
+        equations, variables = set[int](), {v for i in places if not _literal(v := jaxpr.outvars[i])}
         for i, eqn in reversed([*enumerate(jaxpr.eqns)]):
-            if wanted & {*eqn.outvars}:
+            if variables & {*eqn.outvars}:
                 equations.add(i)
-                wanted |= {v for v in eqn.invars if not _literal(v)}
-        return equations, wanted
+                variables |= {v for v in eqn.invars if not _literal(v)}
+        return equations, variables
 
-    def state(jaxpr: Jaxpr, before: int, wanted: set[Any]) -> set[int]:
-        return {i for i, v in enumerate(jaxpr.invars[before:]) if v in wanted}
+    def state(jaxpr: Jaxpr, before: int, variables: set[Any]) -> set[int]:
+        return {i for i, v in enumerate(jaxpr.invars[before:]) if v in variables}
 
-    new, places, equations = state(cond, first, needed(cond, {0})[1]), set[int](), set[int]()
+    new, places, equations = state(cond, first, dependencies(cond, {0})[1]), set[int](), set[int]()
     while new - places:
         places |= new
-        equations, wanted = needed(body, places)
-        new = state(body, second, wanted)
+        equations, variables = dependencies(body, places)
+        new = state(body, second, variables)
     return places, equations
 
 

@@ -89,25 +89,25 @@ def room_of(p: Plan) -> Capacity:
 def larger(a: Capacity, b: Capacity) -> Capacity:
     """Return room that is enough for both."""
     rows = dict(a.rows)
-    for key, many in b.rows:
-        rows[key] = max(rows.get(key, 0), many)
+    for key, n in b.rows:
+        rows[key] = max(rows.get(key, 0), n)
     return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.uncached) -> Plan:
+def fit_to_capacity(p: Plan, room: Capacity, cache: memo.Cache = memo.no_cache) -> Plan:
     """Return a draft padded to the shape of `room`."""
-    drafted, rows = p.problem.schedule, dict(room.rows)
-    _, schedule = ask(
-        "fitted", (id(drafted), room), lambda: (drafted, _pad_schedule(drafted, room))
+    draft_schedule, rows = p.problem.schedule, dict(room.rows)
+    _, schedule = cache(
+        "fitted", (id(draft_schedule), room), lambda: (draft_schedule, _pad_schedule(draft_schedule, room))
     )  # the object is alive, so its id is unique
     leaves, tree = jax.tree.flatten(p.problem.params)
     for i, a in enumerate(leaves):
-        if np.ndim(a) and len(a) == 1 < (many := rows[p.cell.scenario.plant, i]):
-            leaves[i] = np.broadcast_to(a, (many, *np.shape(a)[1:]))
-    falling = p.problem.jumps
-    if more := room.falls - len(falling):
-        falling = np.pad(falling, (0, more), constant_values=common_times.NEVER)
-    problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=falling)
+        if np.ndim(a) and len(a) == 1 < (n_rows := rows[p.cell.scenario.plant, i]):
+            leaves[i] = np.broadcast_to(a, (n_rows, *np.shape(a)[1:]))
+    jump_ticks = p.problem.jumps
+    if n_missing := room.falls - len(jump_ticks):
+        jump_ticks = np.pad(jump_ticks, (0, n_missing), constant_values=common_times.NEVER)
+    problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=jump_ticks)
     if not p.layout.defined:  # neutral values for the random effects of other grid points
         no_outliers, no_step = Outliers(np.asarray(0.0), np.asarray(1.0)), np.zeros(len(problem.noise_std))
         problem = problem._replace(
@@ -123,15 +123,15 @@ def fit_to_capacity(p: Plan, room: Capacity, ask: memo.Once = memo.uncached) -> 
     return p._replace(problem=problem, layout=layout)
 
 
-def stack_schedules(each: list[common_times.Schedule]) -> common_times.Schedule:
+def stack_schedules(schedules: list[common_times.Schedule]) -> common_times.Schedule:
     """Return the schedules of several runs stacked, every array with the runs first."""
     room = Capacity(
-        slots=power_of_2(max(s.arrive.shape[1] for s in each)),
-        early=power_of_2(max(len(s.early) for s in each)),
-        notes=power_of_2(max(s.extra_snapshots.shape[1] for s in each)),
+        slots=power_of_2(max(s.arrive.shape[1] for s in schedules)),
+        early=power_of_2(max(len(s.early) for s in schedules)),
+        notes=power_of_2(max(s.extra_snapshots.shape[1] for s in schedules)),
     )
-    stacked: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_pad_schedule(s, room) for s in each))
-    return stacked
+    stack: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_pad_schedule(s, room) for s in schedules))
+    return stack
 
 
 def _pad_schedule(schedule: AnySchedule, room: Capacity) -> AnySchedule:
@@ -157,14 +157,14 @@ def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
 
     Only user-defined observers and plants are checked. Those of pcbench are covered by tests.
     """
-    seen: set[tuple[str, Plant, bool]] = set()
+    keys: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
             if (
                 _has_user_code(observer, p.layout.plant)
-                and (key := (label, p.layout.plant, p.layout.continuous)) not in seen
+                and (key := (label, p.layout.plant, p.layout.continuous)) not in keys
             ):
-                seen.add(key)
+                keys.add(key)
                 shape_checks.check(label, observer, p.problem, p.layout.continuous)
         yield p
 

@@ -45,8 +45,8 @@ IDLE = Load(0, 1)
 
 def computing_time(sample: float, tick: int, speed: float, dt: float) -> float:
     """Return how long a sample takes [s] when each tick needs its own multiplications; inf if they leave no time."""
-    left = speed - tick / dt
-    return sample / left if left > 0 else inf
+    free_speed = speed - tick / dt
+    return sample / free_speed if free_speed > 0 else inf
 
 
 def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: float, dt: float) -> Load:
@@ -55,12 +55,12 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
     `cost` returns the operations of an observer for the age of a sample and the ticks between samples.
     """
     period, delay = clock.period, clock.period if clock.delay is None else clock.delay
-    own, older, rarer = (cost(*at) for at in ((delay, period), (delay + period, period), (delay, 2 * period)))
-    by_age, by_interval = (max(each.sample - own.sample, 0) for each in (older, rarer))
+    base, older, rarer = (cost(*at) for at in ((delay, period), (delay + period, period), (delay, 2 * period)))
+    by_age, by_interval = (max(c.sample - base.sample, 0) for c in (older, rarer))
     load = IDLE
     while delay + load.wait <= ticks:
-        sample = own.sample + (by_age * load.wait + by_interval * (load.every - 1) * period) / period
-        need = computing_time(sample, own.tick, speed, dt) / dt
+        sample = base.sample + (by_age * load.wait + by_interval * (load.every - 1) * period) / period
+        need = computing_time(sample, base.tick, speed, dt) / dt
         if not need <= ticks:
             break
         if (wait := floor(need + 0.5)) <= load.wait:
@@ -69,14 +69,14 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
     return Load(NEVER, 1)
 
 
-def slowed(times: Timing, load: Load) -> Timing:
+def with_load(times: Timing, load: Load) -> Timing:
     """Return the times of a grid point for an observer with this load of its processor."""
     if load == IDLE:
         return times
-    return times._replace(clocks=[_slowed(clock, load, times.ticks) for clock in times.clocks])
+    return times._replace(clocks=[_clock_with_load(clock, load, times.ticks) for clock in times.clocks])
 
 
-def _slowed(clock: Clock, load: Load, ticks: int) -> Clock:
+def _clock_with_load(clock: Clock, load: Load, ticks: int) -> Clock:
     if load.wait == NEVER:  # equivalent to the loss of all samples
         return clock._replace(outage=(0, ticks + 1))
     delay = clock.period if clock.delay is None else clock.delay
@@ -85,8 +85,8 @@ def _slowed(clock: Clock, load: Load, ticks: int) -> Clock:
 
 def times_in(cell: Cell) -> tuple[float, int]:
     """Return the computing time of a sample at a slowed grid point [s] (inf: too long), and m if every m-th sample is used."""
-    (usual, mine), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
-    if mine.outage == (0, N + 1):
-        return inf, mine.stride
-    delays = (each.period if each.delay is None else each.delay for each in (mine, usual))
-    return (next(delays) - next(delays)) * cell.scenario.dt, mine.stride
+    (sensor_clock, clock), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
+    if clock.outage == (0, N + 1):
+        return inf, clock.stride
+    delays = (c.period if c.delay is None else c.delay for c in (clock, sensor_clock))
+    return (next(delays) - next(delays)) * cell.scenario.dt, clock.stride

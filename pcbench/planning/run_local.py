@@ -22,50 +22,52 @@ Results = dict[str, statistics.Results]
 class CellResults(NamedTuple):
     """The results of the runs of one grid point."""
 
-    planned: Plan
+    plan: Plan
     seeds: NDArray[np.int64]
     results: Results
 
 
-def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
+def jobs(plan: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
     """Return the jobs of one width that cover a grid point's seeds."""
-    each = planned.layout.defined and planned.cell.times.random
-    for first in range(0, len(seeds), planned.layout.width):
-        mine = seeds[first : first + planned.layout.width]
-        schedules = [alone(planned, root_seed, int(seed)).problem.schedule for seed in mine] if each else None
-        yield runner.Job(planned.problem, root_seed, mine, schedules and padding.stack_schedules(schedules))
+    per_seed = plan.layout.defined and plan.cell.times.random
+    for first in range(0, len(seeds), plan.layout.width):
+        batch = seeds[first : first + plan.layout.width]
+        schedules = [alone(plan, root_seed, int(seed)).problem.schedule for seed in batch] if per_seed else None
+        yield runner.Job(plan.problem, root_seed, batch, schedules and padding.stack_schedules(schedules))
 
 
-def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:
+def results(plan: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Results:
     """Return the joined metrics of one grid point's jobs; raise DigitsError if rounding decides them."""
-    parts: dict[str, list[statistics.Results]] = {label: [] for label in planned.labels}
-    n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
-    falls = bool((planned.problem.jumps < n).any())
-    weights = planned.problem.weights
+    parts: dict[str, list[statistics.Results]] = {label: [] for label in plan.labels}
+    n, tail, dt = plan.cell.times.ticks, plan.cell.times.tail, plan.cell.scenario.dt
+    has_jumps = bool((plan.problem.jumps < n).any())
+    weights = plan.problem.weights
     costs = isinstance(weights, metrics.Weights) and np.size(weights.Q1) > 0
     for _, outcome in outcomes:
-        digits.require(planned, outcome)
-        for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
-            left = outcome.streams[name], outcome.watches[name], outcome.final[name]
+        digits.require(plan, outcome)
+        for label, (name, _) in zip(plan.labels, plan.layout.observers, strict=True):
+            sums = outcome.streams[name], outcome.watches[name], outcome.final[name]
             effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None
-            tracking, sent = outcome.tracking or None, outcome.sent if planned.problem.trigger else None
-            parts[label].append(metrics.read(*left, n, tail, dt, falls, tracking, effort, costs, squares, sent))
-    return {label: {m: np.concatenate([p[m] for p in each], -1) for m in each[0]} for label, each in parts.items()}
+            tracking, n_sent = outcome.tracking or None, outcome.sent if plan.problem.trigger else None
+            parts[label].append(metrics.read(*sums, n, tail, dt, has_jumps, tracking, effort, costs, squares, n_sent))
+    return {
+        label: {m: np.concatenate([p[m] for p in batches], -1) for m in batches[0]} for label, batches in parts.items()
+    }
 
 
 def execute(
-    study: Study, planned: list[Plan], seeds: NDArray[np.int64] | None = None, devices: int | None = None
+    study: Study, plans: list[Plan], seeds: NDArray[np.int64] | None = None, devices: int | None = None
 ) -> Iterator[CellResults]:
     """Run every planned grid point in this process; yield its results, kept in memory, when its last run is complete.
 
     `seeds` are seed indices, by default 0 .. study.seeds - 1. Grid points of one shape are run together, in their order.
     """
-    chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
+    indices = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
     groups: dict[Hashable, list[Plan]] = {}
-    for p in planned:
+    for p in plans:
         groups.setdefault(key_of(p), []).append(p)
     for group in groups.values():
-        each = [list(jobs(p, study.root_seed, chosen)) for p in group]
-        outcomes = runner.run(group[0].layout, [job for mine in each for job in mine], devices)
-        for p, mine in zip(group, each, strict=True):
-            yield CellResults(p, chosen, results(p, (next(outcomes) for _ in mine)))
+        job_lists = [list(jobs(p, study.root_seed, indices)) for p in group]
+        outcomes = runner.run(group[0].layout, [job for point_jobs in job_lists for job in point_jobs], devices)
+        for p, point_jobs in zip(group, job_lists, strict=True):
+            yield CellResults(p, indices, results(p, (next(outcomes) for _ in point_jobs)))

@@ -29,7 +29,7 @@ LISTS = fields.names(listed=True)  # axes whose value may be a list
 ROWS = fields.names(rows=True)  # axes for which a scenario may have a list per output channel
 AXES = fields.names(loop=False)
 COMMANDS = fields.names(loop=True)  # axes of loops that a study closes
-ASKED = fields.names(always=False, loop=False)  # in the tables only if they are an axis
+OPTIONAL = fields.names(always=False, loop=False)  # in the tables only if they are an axis
 Value = str | float | tuple[Any, ...]  # value of an axis in a scenario: numbers, texts or rows in a tuple
 Plain = str | float | None | list[float | str | None]  # the same value in the tables
 LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
@@ -37,9 +37,9 @@ LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as in a scenario; raise UserError with the first invalid value."""
-    known = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
-    if name not in known:
-        raise unknown(where, f"axis of {base.name}", name, known)
+    valid = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
+    if name not in valid:
+        raise unknown(where, f"axis of {base.name}", name, valid)
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     if name in ROWS and any(map(has_rows, values)):
@@ -76,12 +76,12 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
         return _single(name, value, base, where)
     if name in OUTPUTS and value in ([], ()):
         return ()
-    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
-    each = list(value) if isinstance(value, list) or (name in SENSORS and isinstance(value, tuple)) else [value] * many
-    if len(each) != many:
-        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
+    n, quantity = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    entries = list(value) if isinstance(value, list) or (name in SENSORS and isinstance(value, tuple)) else [value] * n
+    if len(entries) != n:
+        raise UserError(f"{where}: got {len(entries)} values, expected one or {n} (a value for each {quantity}).")
     if name in SENSORS:
-        numbers = tuple(_single(name, v, base, where) for v in each)
+        numbers = tuple(_single(name, v, base, where) for v in entries)
         return numbers if len(set(numbers)) > 1 else numbers[0]
     if name == "delay" and isinstance(value, str):
         if value.startswith(("from:", "in-turn:")):
@@ -93,8 +93,8 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
             raise UserError(
                 f"{where}: got {brief_repr(value)}, expected seconds or '{INTERVAL}' (one sampling interval)."
             )
-        return (INTERVAL,) * many
-    numbers = tuple(number(v, where, least=0.0) for v in each)
+        return (INTERVAL,) * n
+    numbers = tuple(number(v, where, least=0.0) for v in entries)
     for v in numbers if name in TIMES else ():
         _require_whole_ticks(name, v, base, where)
     return numbers
@@ -102,9 +102,9 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
 
 def _of_each_channel(name: str, value: Sequence[object], base: Scenario, where: str) -> Value:
     """Return a list per output channel, or one list if they are equal."""
-    many = len(base.sampling.delay)
-    if len(value) != many or not all(isinstance(row, list | tuple) for row in value):
-        raise UserError(f"{where}: got {brief_repr(value)}, expected one list of numbers, or {many} (one per channel).")
+    q = len(base.sampling.delay)
+    if len(value) != q or not all(isinstance(row, list | tuple) for row in value):
+        raise UserError(f"{where}: got {brief_repr(value)}, expected one list of numbers, or {q} (one per channel).")
     rows = tuple(_list(name, row, base, f"{where}[{j}]") for j, row in enumerate(value))
     return rows if len(set(rows)) > 1 else rows[0]
 
@@ -156,8 +156,8 @@ def _list(name: str, value: object, base: Scenario, where: str) -> str | tuple[f
     if name in expected and (not isinstance(value, list | tuple) or (not value and name == "sampling_pattern")):
         raise UserError(f"{where}: got {brief_repr(value)}, expected {expected[name]}")
     least = None if name == "sampling_pattern" else 0.0
-    each = value if isinstance(value, list | tuple) else [value]
-    out = tuple(v if v == LOST and name == "delay_sequence" else number(v, where, least) for v in each)
+    entries = value if isinstance(value, list | tuple) else [value]
+    out = tuple(v if v == LOST and name == "delay_sequence" else number(v, where, least) for v in entries)
     for v in out:
         if isinstance(v, str):
             continue
@@ -174,10 +174,10 @@ def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) ->
     ticks = value / base.dt
     if abs(ticks - round(ticks)) > 1e-6:
         below, above = max(math.floor(ticks), int(name == "sampling_period")) * base.dt, math.ceil(ticks) * base.dt
-        near = f"{above:.12g}" if below == above else f"{below:.12g} or {above:.12g}"
+        nearest = f"{above:.12g}" if below == above else f"{below:.12g} or {above:.12g}"
         raise UserError(
             f"{where}: got {value:.12g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
-            f"write {near}."
+            f"write {nearest}."
         )
     if name == "sampling_period" and round(ticks) < 1:
         raise UserError(f"{where}: got {value:g} s, expected at least one tick, {base.dt:g} s in {base.name}.")
@@ -185,13 +185,13 @@ def _require_whole_ticks(name: str, value: float, base: Scenario, where: str) ->
         raise UserError(f"{where}: got {value:g} s, expected at most the duration of {base.name}, {base.duration:g} s.")
 
 
-def plain(name: str, value: Value, apart: bool = False) -> Plain:
-    """Return a value as in the tables: equal channels as one unless `apart`, one sampling interval as null."""
+def plain(name: str, value: Value, as_list: bool = False) -> Plain:
+    """Return a value as in the tables: equal channels as one unless `as_list`, one sampling interval as null."""
     if not isinstance(value, tuple):
         return value
     if has_rows(value):
         return " and ".join(str(plain(name, row)) or "none" for row in value)
     if name in LISTS:
         return ", ".join(v if isinstance(v, str) else f"{v:g}" for v in value)
-    each = [None if v == INTERVAL else v for v in value]
-    return each if not each or apart or len(set(each)) > 1 else each[0]
+    entries = [None if v == INTERVAL else v for v in value]
+    return entries if not entries or as_list or len(set(entries)) > 1 else entries[0]

@@ -48,7 +48,8 @@ FIELD = (
     "lmi-sampled",
 )  # observers of the literature for samples with a constant delay
 WANDER = (0.01, 0.1)  # m, m/s per tick: the process noise of `model-mismatch`
-BELIEFS: dict[str, TomlTable] = {  # the wrong assumption of each scenario; noise sizes are wrong by a factor of 4
+# the wrong assumption of each scenario; noise sizes are wrong by a factor of 4
+WRONG_ASSUMPTIONS: dict[str, TomlTable] = {
     "as-assumed": {},
     "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain depends on the ratio of R and Q only
     "noise-under": {"assumed_process_std": [std * 4 for std in WANDER]},
@@ -61,44 +62,44 @@ BELIEFS: dict[str, TomlTable] = {  # the wrong assumption of each scenario; nois
 
 def _mismatch_scenario(name: str) -> ScenarioTable:
     """Return one scenario of `model-mismatch`: cart/white with a drifting position and one wrong assumption."""
-    off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
+    ratio = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
     options = {
         "pccebo-loose": {
             "gain": "riccati",
-            "q": 0.1 / off,
+            "q": 0.1 / ratio,
         },  # the usual treatment of an uncertain model: noise on the input
-        "pccebo-riccati": {"gain": "riccati", "q": 0.002 / off},
+        "pccebo-riccati": {"gain": "riccati", "q": 0.002 / ratio},
         "pco": {"Kp": -61.0},
         "pi-pco": {"Kp": -61.0, "Ki": 12.2},
-        "kfbo": {"R": 0.07 * off, "Q": [0.1, 10.0]},  # intensities: 0.35 per sample times 0.2 s, and WANDER
+        "kfbo": {"R": 0.07 * ratio, "Q": [0.1, 10.0]},  # intensities: 0.35 per sample times 0.2 s, and WANDER
     }
-    usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": options}
-    return ScenarioTable.model_validate(usual | BELIEFS[name])
+    defaults = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": options}
+    return ScenarioTable.model_validate(defaults | WRONG_ASSUMPTIONS[name])
 
 
-def _held(period: float) -> ScenarioTable:
+def _state_feedback(period: float) -> ScenarioTable:
     """Return a scenario of `ncs-two-state` with one period [s] for samples and commands."""
     control = {**SCENARIOS["ncs-two-state/held"].loop.control, "period": period}
     table = {"base": "ncs-two-state/held", "sampling_period": period, "control": control}
     return ScenarioTable.model_validate(table)
 
 
-def _in_turn(interval: float) -> ScenarioTable:
+def _round_robin(interval: float) -> ScenarioTable:
     """Return a scenario of `ncs-reactor`: the outputs are sent in turn, one every `interval` [s]."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": 2 * interval, "sampling_phase": [0.0, interval]}
     return ScenarioTable.model_validate(table)
 
 
-def _largest_change(interval: float) -> ScenarioTable:
+def _try_once_discard(interval: float) -> ScenarioTable:
     """Return a scenario of `ncs-reactor`: every `interval` [s] the output with the largest change is sent."""
     table = {"base": "ncs-reactor/round-robin", "sampling_period": interval, "sampling_phase": 0.0}
     return ScenarioTable.model_validate(table | {"try_once_discard": 1})
 
 
-PROTOCOLS = {"round-robin": _in_turn, "try-once-discard": _largest_change}
+PROTOCOLS = {"round-robin": _round_robin, "try-once-discard": _try_once_discard}
 
 
-def _servoing(gain: float) -> ScenarioTable:
+def _visual_servo(gain: float) -> ScenarioTable:
     """Return a scenario of `camera-target`: the velocity is `gain` [1/s] times the estimated offset."""
     table = {"base": "camera-target/servoing", "control": {"K": [[-gain, 0.0, 0.0]]}}
     return ScenarioTable.model_validate(table)
@@ -161,8 +162,8 @@ STUDIES = {
     ),
     "model-mismatch": Study(
         name="model-mismatch",
-        scenarios=list(BELIEFS),
-        tables={name: _mismatch_scenario(name) for name in BELIEFS},
+        scenarios=list(WRONG_ASSUMPTIONS),
+        tables={name: _mismatch_scenario(name) for name in WRONG_ASSUMPTIONS},
         observers=[
             *("kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo"),
             *FIELD,
@@ -243,7 +244,7 @@ STUDIES = {
     "ncs-two-state": Study(
         name="ncs-two-state",
         scenarios=[f"period-{period:g}" for period in PERIODS],
-        tables={f"period-{period:g}": _held(period) for period in PERIODS},
+        tables={f"period-{period:g}": _state_feedback(period) for period in PERIODS},
         observers=["kf"],
         seeds=256,
     ),
@@ -306,7 +307,7 @@ STUDIES = {
         name="camera-target",
         scenarios=["following", *(f"servo-{gain:g}" for gain in GAINS)],
         tables={"following": ScenarioTable(base="camera-target/following")}
-        | {f"servo-{gain:g}": _servoing(gain) for gain in GAINS},
+        | {f"servo-{gain:g}": _visual_servo(gain) for gain in GAINS},
         seeds=64,
         axes={"delay": [[delay, 0.0] for delay in (0.0, 0.1, 0.2, 0.3)]},
         options={"scenario": {"random_initial_state": True, "consistency": True}},

@@ -39,27 +39,27 @@ class Network(BaseModel):
     command_std: Size = Field(0.0, description="standard deviation of the noise of a command [unit of the input]")
 
 
-def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """Return a scenario with its loop closed by a study's controller; `own` has user-defined controllers by MODULE:NAME.
+def close_loop(s: Scenario, table: TomlTable, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
+    """Return a scenario with its loop closed by a study's controller; `plugins` has user-defined controllers by MODULE:NAME.
 
     Raises UserError with the invalid key.
     """
-    way = validate_options(Network, given, where)
-    able = [name for name, entry in CONTROLLERS.items() if entry.check]
-    mine = own.get(way.use)
-    if mine is None and way.use not in able:
-        raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", way.use, able)
+    config = validate_options(Network, table, where)
+    valid = [name for name, entry in CONTROLLERS.items() if entry.check]
+    plugin = plugins.get(config.use)
+    if plugin is None and config.use not in valid:
+        raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", config.use, valid)
     if s.sampling.prefilled:
         raise UserError(
             f"{where}: got a controller for {s.name}, whose sampling began before t = 0, expected a scenario that starts at "
             "t = 0; leave the table out, or use another scenario."
         )
-    control = {key: value for key, value in given.items() if key not in Network.model_fields}
-    entry = mine.entry if mine else CONTROLLERS[way.use]
-    fields, open_ended = entry.options.model_fields, entry.options.model_config.get("extra") == "allow"
+    control = {key: value for key, value in table.items() if key not in Network.model_fields}
+    entry = plugin.entry if plugin else CONTROLLERS[config.use]
+    fields, allows_extra = entry.options.model_fields, entry.options.model_config.get("extra") == "allow"
     for key in control:
-        if key not in fields and not open_ended:
-            raise unknown(where, f"option of {way.use}", key, [*fields, *Network.model_fields])
+        if key not in fields and not allows_extra:
+            raise unknown(where, f"option of {config.use}", key, [*fields, *Network.model_fields])
     options = validate_options(entry.options, control, where)
     if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
         raise UserError(
@@ -73,10 +73,10 @@ def close_loop(s: Scenario, given: TomlTable, where: str, own: Mapping[str, User
             f"{where}: got an actuator_delay of {s.loop.actuator_delay:g} s in {s.name}, whose loop this table closes, "
             "expected none there; write actuator_delay in [controller]."
         )
-    network = {name: getattr(way, name) for name in ("actuator_delay", *axes.COMMANDS)}
+    network = {name: getattr(config, name) for name in ("actuator_delay", *axes.COMMANDS)}
     for name, value in network.items():
         axes.point(name, value, s, f"{where}.{name}")
-    name, code = (mine.code.name, {**s.own, "controller": mine}) if mine else (way.use, s.own)
+    name, code = (plugin.code.name, {**s.own, "controller": plugin}) if plugin else (config.use, s.own)
     return s.having(controller=name, control=control, input="", own=code, **network)
 
 
@@ -97,13 +97,13 @@ def controller_context(s: Scenario) -> ControllerContext:
 
     The model includes the known part of the plant's unknown input, linearised at x = 0.
     """
-    model, late = entry_of(s).nominal(numbers_of(s)), s.loop.actuator_delay or 0.0
+    model, command_delay = entry_of(s).nominal(numbers_of(s)), s.loop.actuator_delay or 0.0
     if model.known is not None and model.E is not None:
         import jax
         import jax.numpy as jnp
 
-        known = jax.tree.map(jnp.asarray, model.known)
-        slope = np.asarray(jax.jacfwd(known)(jnp.zeros(len(model.A))))
+        known_part = jax.tree.map(jnp.asarray, model.known)
+        slope = np.asarray(jax.jacfwd(known_part)(jnp.zeros(len(model.A))))
         model = model._replace(A=model.A + model.E @ slope)
     return ControllerContext(
         model=model,
@@ -111,46 +111,46 @@ def controller_context(s: Scenario) -> ControllerContext:
         ticks=0,
         rows=0,
         ahead=0,
-        late=times.to_ticks(late, s) + times.to_ticks(s.loop.command_jitter, s) // 2,
+        late=times.to_ticks(command_delay, s) + times.to_ticks(s.loop.command_jitter, s) // 2,
         states=tuple(name for name, _ in states_of(s)),
         delay=times.actuator_delay(s),
     )
 
 
-class Slowest(NamedTuple):
+class SlowestMode(NamedTuple):
     """The eigenvalue of a closed loop with the largest absolute value, over one period of its controller."""
 
     mode: complex
-    late: float  # [s] delay of a command
+    delay: float  # [s] of a command
     period: float  # [s]
 
 
-def slowest(s: Scenario, where: str) -> Slowest | None:
+def slowest(s: Scenario, where: str) -> SlowestMode | None:
     """Return the slowest mode of a scenario's loop with known state; None without a law for any plant or a linear one."""
     entry = law_of(s) if has_generic_controller(s) else None
     if entry is None or entry.linear is None:
         return None
-    known, options = controller_context(s), entry.options.model_validate(dict(s.loop.control))
+    context, options = controller_context(s), entry.options.model_validate(dict(s.loop.control))
     try:
-        law = entry.linear(options, known)
+        law = entry.linear(options, context)
     except DesignError as error:
         raise DesignError(f"{where}: {error}") from None
     if law is None:
         return None
-    late = 0 if getattr(options, "knows_delay", False) else known.late
-    every = known.every(getattr(options, "period", None))
-    modes = np.linalg.eigvals(lqr.monodromy_matrix(known.tick, law, every, late))
-    return Slowest(complex(modes[np.argmax(np.abs(modes))]), late * s.dt, every * s.dt)
+    delay = 0 if getattr(options, "knows_delay", False) else context.late
+    every = context.every(getattr(options, "period", None))
+    modes = np.linalg.eigvals(lqr.monodromy_matrix(context.tick, law, every, delay))
+    return SlowestMode(complex(modes[np.argmax(np.abs(modes))]), delay * s.dt, every * s.dt)
 
 
 def warning(s: Scenario, where: str) -> str:
     """Return a sentence with the unstable eigenvalue of a scenario's loop; empty if the loop is stable."""
-    found = slowest(s, where)
-    if found is None or abs(found.mode) < 1:
+    mode = slowest(s, where)
+    if mode is None or abs(mode.mode) < 1:
         return ""
     return (
-        f"{where}: with commands delayed by {found.late:g} s, {s.loop.controller} does not stabilise the plant of "
+        f"{where}: with commands delayed by {mode.delay:g} s, {s.loop.controller} does not stabilise the plant of "
         f"{s.name}: the "
-        f"closed loop has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size {abs(found.mode):.6g}, "
+        f"closed loop has the eigenvalue {shown_mode(mode.mode)} over {mode.period:g} s, of size {abs(mode.mode):.6g}, "
         "expected below 1."
     )

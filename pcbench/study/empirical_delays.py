@@ -1,7 +1,7 @@
 """Delays from a recording: `delay = "from:flight"` draws them from its distribution, "in-turn:flight" replays them in order.
 
 from:
-    `MANY` delays, each the middle of an equal part of the recording's, become `delay` and `delay_values`. Their frequencies,
+    `N_PARTS` delays, each the middle of an equal part of the recording's, become `delay` and `delay_values`. Their frequencies,
     and the frequency of equal successive delays, are those of the recording (`delay_self_transition`). `loss` is the share that
     never arrived. Channels may differ in smallest delay, loss and variation, which are then lists: one distribution if the
     delays of all channels vary alike, else one per channel.
@@ -30,15 +30,15 @@ from pcbench.study.lti import Lti
 from pcbench.toml_text import TomlTable
 
 FROM, IN_TURN = "from:", "in-turn:"
-MANY = 16  # number of parts
-MOST = 1 - 1e-6  # largest probability of a chain to keep its value
+N_PARTS = 16  # number of parts
+MAX_STAY = 1 - 1e-6  # largest probability of a chain to keep its value
 DIGITS = 12  # decimal digits of a second
 UNLIKE, NOISE = 0.1, 2.0  # largest difference of distributions treated as one, and the allowance for chance
-TAKEN = (  # keys set by a recording, which the table may not set
+RECORDED_KEYS = (  # keys set by a recording, which the table may not set
     *("delay_values", "delay_self_transition", "delay_weights", "delay_gamma_mean", "delay_gamma_shape"),
     *("delay_sequence", "delay_jitter", "loss"),
 )
-INSTANTS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # keys set by a recording replayed in order
+SAMPLING_KEYS = ("sampling_period", "sampling_pattern", "sampling_jitter")  # keys set by a recording replayed in order
 Ticks = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -47,133 +47,133 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
     """Return a study's table with the delays of a recording that it names; unchanged if it names none."""
     if not names_log(table):
         return table
-    asked: str = table["delay"]
-    turns = asked.startswith(IN_TURN)
-    for key in (*TAKEN, *(INSTANTS if turns else ())):
+    delay: str = table["delay"]
+    in_order = delay.startswith(IN_TURN)
+    for key in (*RECORDED_KEYS, *(SAMPLING_KEYS if in_order else ())):
         if table.get(key):
             raise UserError(
                 f"{where}.{key}: got {brief_repr(table[key])} with the delays of a recording, expected one of them; "
                 "leave it out."
             )
-    name = Path(asked.removeprefix(IN_TURN if turns else FROM))
+    name = Path(delay.removeprefix(IN_TURN if in_order else FROM))
     log = readers.open_log(name if folder is None else folder / name)
     survey(log)  # raises UserError for rows and clocks without usable delays
     batches = list(log.measurements())
     columns = ("channel", "sampled", "arrived")
-    channel, sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
-    late = np.rint((arrived - sampled) / tick)
-    if np.isnan(late).all():
+    channel, sampling_time, arrival_time = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
+    delays = np.rint((arrival_time - sampling_time) / tick)
+    if np.isnan(delays).all():
         raise UserError(
             f"{where}.delay: got the recording {name} without arrivals, expected at least one; use another."
         )
-    if turns:
-        order = np.argsort(sampled, kind="stable")
+    if in_order:
+        order = np.argsort(sampling_time, kind="stable")
         got = f"{where}.delay: got the recording {name}"
-        return {**table, **in_turn(sampled[order], late[order], tick, duration_of(table), got)}
-    order = np.lexsort((sampled, channel))
+        return {**table, **in_turn(sampling_time[order], delays[order], tick, duration_of(table), got)}
+    order = np.lexsort((sampling_time, channel))
     return {
         **table,
-        **law_of(late[order], channel[order], tick, log.channels, f"{where}.delay: got the recording {name}"),
+        **law_of(delays[order], channel[order], tick, log.channels, f"{where}.delay: got the recording {name}"),
     }
 
 
-def law_of(late: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
+def law_of(delays: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
     """Return the distribution of delays [ticks] in sampling order by channel, NaN: lost.
 
     Raises UserError, which begins with `got`, if nothing of a channel arrived.
     """
-    came = ~np.isnan(late)
-    loss = [float(np.isnan(late[channel == c]).mean()) for c in range(len(names))]
-    each = [late[came & (channel == c)] for c in range(len(names))]
-    if empty := [name for name, mine in zip(names, each, strict=True) if not len(mine)]:
+    arrived = ~np.isnan(delays)
+    loss = [float(np.isnan(delays[channel == c]).mean()) for c in range(len(names))]
+    by_channel = [delays[arrived & (channel == c)] for c in range(len(names))]
+    if empty := [name for name, d in zip(names, by_channel, strict=True) if not len(d)]:
         raise UserError(f"{got}, in which nothing of {empty[0]} arrived, expected at least one arrival; use another.")
-    least = np.array([mine.min() for mine in each])
-    apart = [kolmogorov(each[0] - least[0], mine - base) for mine, base in zip(each, least, strict=True)]
-    chance = [UNLIKE + NOISE * np.sqrt(1 / len(each[0]) + 1 / len(mine)) for mine in each]
-    if any(distance > limit for distance, limit in zip(apart, chance, strict=True)):
-        own = [fit_delay_chain(mine, np.zeros(len(mine)), tick) for mine in each]
-        law: TomlTable = {key: [fitted.get(key, []) for fitted in own] for key in max(own, key=len)}
+    least = np.array([d.min() for d in by_channel])
+    distances = [kolmogorov(by_channel[0] - least[0], d - base) for d, base in zip(by_channel, least, strict=True)]
+    limits = [UNLIKE + NOISE * np.sqrt(1 / len(by_channel[0]) + 1 / len(d)) for d in by_channel]
+    if any(distance > limit for distance, limit in zip(distances, limits, strict=True)):
+        chains = [fit_delay_chain(d, np.zeros(len(d)), tick) for d in by_channel]
+        law: TomlTable = {key: [chain.get(key, []) for chain in chains] for key in max(chains, key=len)}
     else:
         least = least if len(set(least)) > 1 else np.zeros(len(names))
-        law = fit_delay_chain((late - least[channel])[came], channel[came], tick)
+        law = fit_delay_chain((delays - least[channel])[arrived], channel[arrived], tick)
         if least.any():
             law["delay"] = [round(law["delay"] + float(base) * tick, DIGITS) for base in least]
-    together = float(np.isnan(late).mean())
-    few = [NOISE * np.sqrt(together * (1 - together) / (channel == c).sum()) for c in range(len(names))]
-    alike = all(abs(mine - together) <= limit for mine, limit in zip(loss, few, strict=True))
-    return {**law, "loss": together if alike else loss}
+    mean_loss = float(np.isnan(delays).mean())
+    tolerances = [NOISE * np.sqrt(mean_loss * (1 - mean_loss) / (channel == c).sum()) for c in range(len(names))]
+    is_uniform = all(abs(p - mean_loss) <= limit for p, limit in zip(loss, tolerances, strict=True))
+    return {**law, "loss": mean_loss if is_uniform else loss}
 
 
 def kolmogorov(a: Ticks, b: Ticks) -> float:
     """Return the largest difference of two distribution functions."""
     at = np.union1d(a, b)
-    below = (np.searchsorted(np.sort(each), at, side="right") / len(each) for each in (a, b))
+    below = (np.searchsorted(np.sort(x), at, side="right") / len(x) for x in (a, b))
     return float(np.abs(np.subtract(*below)).max())
 
 
 def names_log(table: TomlTable) -> bool:
     """Return whether the delay of a table is from a recording."""
-    asked = table.get("delay")
-    return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
+    delay = table.get("delay")
+    return isinstance(delay, str) and delay.startswith((FROM, IN_TURN))
 
 
 def duration_of(table: TomlTable) -> float:
     """Return the duration of a table [s], its own or that of its base; inf if the base is user-defined."""
-    said, base = table.get("duration"), table.get("base")
-    if isinstance(said, int | float) and said > 0:
-        return float(said)
+    duration, base = table.get("duration"), table.get("base")
+    if isinstance(duration, int | float) and duration > 0:
+        return float(duration)
     if isinstance(base, str):
         return SCENARIOS[base].duration if base in SCENARIOS else math.inf
     return float(Lti.model_fields["duration"].default)
 
 
-def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> TomlTable:
+def in_turn(sampling_time: Ticks, delays: Ticks, tick: float, horizon: float, got: str) -> TomlTable:
     """Return instants and delays in order, of samples sorted by sampling time [s]; late [ticks], NaN: lost.
 
     Raises UserError, which begins with `got`, if there are fewer than two instants, or if samples of one tick have different
     delays, as a study has one delay for all.
     """
-    taken = np.rint((sampled - sampled[0]) / tick)
-    instants, first = np.unique(taken, return_index=True)
-    each = late[first]
-    unlike = ~((late == np.repeat(each, np.diff(np.append(first, len(taken))))) | np.isnan(late))
-    unlike |= np.isnan(late) != np.isnan(np.repeat(each, np.diff(np.append(first, len(taken)))))
+    ticks = np.rint((sampling_time - sampling_time[0]) / tick)
+    instants, first = np.unique(ticks, return_index=True)
+    by_instant = delays[first]
+    unlike = ~((delays == np.repeat(by_instant, np.diff(np.append(first, len(ticks))))) | np.isnan(delays))
+    unlike |= np.isnan(delays) != np.isnan(np.repeat(by_instant, np.diff(np.append(first, len(ticks)))))
     if unlike.any():
-        t = sampled[np.argmax(unlike)]
+        t = sampling_time[np.argmax(unlike)]
         raise UserError(
             f"{got}, whose samples at {t:g} s have different delays, expected one delay per tick; use a recording of one "
             f"channel, or write {FROM} to draw random delays."
         )
-    many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the pattern repeats from the last one
-    if many < 1 or np.isnan(each[:many]).all():
+    n = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the pattern repeats from the last one
+    if n < 1 or np.isnan(by_instant[:n]).all():
         raise UserError(f"{got}, which has too few arrivals to be replayed, expected two samples or more; use another.")
-    least = np.nanmin(each[:many])
-    intervals = np.diff(instants[: many + 1])
+    least = np.nanmin(by_instant[:n])
+    intervals = np.diff(instants[: n + 1])
     return {
         "delay": round(float(least * tick), DIGITS),
-        "delay_sequence": [LOST if np.isnan(v) else round(float((v - least) * tick), DIGITS) for v in each[:many]],
+        "delay_sequence": [LOST if np.isnan(v) else round(float((v - least) * tick), DIGITS) for v in by_instant[:n]],
         "sampling_period": round(float(max(np.rint(intervals.mean()), 1) * tick), DIGITS),
         "sampling_pattern": [round(float(v * tick), DIGITS) for v in intervals],
     }
 
 
-def fit_delay_chain(late: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
+def fit_delay_chain(delays: Ticks, channel: NDArray[np.generic], tick: float) -> TomlTable:
     """Return delay, delay_values and delay_self_transition of delays [ticks], by channel, in sampling order.
 
     The stationary probability of a value is proportional to 1 / (1 - stay), so 1 - stay_i = c / (frequency of i). c is chosen
     such that equal successive delays are as frequent as in the recording, as far as probabilities allow.
     """
-    values = np.unique(np.quantile(late, (np.arange(MANY) + 0.5) / MANY, method="nearest"))
+    values = np.unique(np.quantile(delays, (np.arange(N_PARTS) + 0.5) / N_PARTS, method="nearest"))
     delay = round(float(values[0] * tick), DIGITS)
     if len(values) == 1:
         return {"delay": delay}
-    part = np.abs(late[:, None] - values).argmin(1)
-    often = np.bincount(part, minlength=len(values)) / len(part)
-    next_one = channel[1:] == channel[:-1]
-    again = float(np.sum((part[1:] == part[:-1]) & next_one) / max(np.sum(next_one), 1))
-    leave = min((1 - again) / len(values), float(often.min()))
+    part = np.abs(delays[:, None] - values).argmin(1)
+    frequency = np.bincount(part, minlength=len(values)) / len(part)
+    is_next = channel[1:] == channel[:-1]
+    repeat_rate = float(np.sum((part[1:] == part[:-1]) & is_next) / max(np.sum(is_next), 1))
+    leave = min((1 - repeat_rate) / len(values), float(frequency.min()))
     return {
         "delay": delay,
         "delay_values": [round(float((v - values[0]) * tick), DIGITS) for v in values],
-        "delay_self_transition": [min(max(1 - leave / share, 0.0), MOST) for share in often.tolist()],
+        "delay_self_transition": [min(max(1 - leave / share, 0.0), MAX_STAY) for share in frequency.tolist()],
     }

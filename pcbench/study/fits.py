@@ -18,9 +18,9 @@ from pcbench.study.axes import AXES, plain
 from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, to_ticks
 
 # axes that make delays vary from sample to sample, except a jitter
-LATENESS = ("delay_values", "delay_sequence", "delay_gamma_mean")
-STAMPED = ("clock_skew", "timestamp_jitter")  # axes that make assumed delays vary
-DRAWN = fields.names(random=True)  # axes that give each run its own times
+DELAY_AXES = ("delay_values", "delay_sequence", "delay_gamma_mean")
+TIMESTAMP_AXES = ("clock_skew", "timestamp_jitter")  # axes that make assumed delays vary
+RANDOM_AXES = fields.names(random=True)  # axes that give each run its own times
 OF_OUTPUTS = ("quantization_step", "send_threshold")  # empty, or zeros: without effect
 REACH = 10  # times the duration: a later sample never arrives
 
@@ -75,13 +75,13 @@ def _of_loop(s: Scenario) -> Iterator[str]:
             yield (
                 f"got a random schedule in {s.name}, whose sampling began before t = 0, expected one schedule for "
                 "all runs; leave "
-                f"{', '.join(DRAWN)} and the sampling_pattern 'uniform' out."
+                f"{', '.join(RANDOM_AXES)} and the sampling_pattern 'uniform' out."
             )
         if INTERVAL in measured.delay:
             yield f"got a delay of one interval in {s.name}, expected seconds: sampling began before t = 0; write a number."
         if len(set(measured.delay)) > 1:
-            each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
-            yield f"got delays of {each} s in {s.name}, expected one for all channels; write one number."
+            delays = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
+            yield f"got delays of {delays} s in {s.name}, expected one for all channels; write one number."
         least = 0.0 if actuator_delay is not None else s.dt / 2
         yield from _too_short(s, "delay", float(measured.delay[0]), least)
         if actuator_delay is not None:
@@ -95,14 +95,14 @@ def _of_loop(s: Scenario) -> Iterator[str]:
 
 def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[str]:
     """Yield a sentence if a delay of a loop, with its variation, falls below `least` [s]; a constant 0 is allowed."""
-    (swing, pace), t = s.sampling.delay_sine, (np.arange(to_ticks(s.duration, s) + 1) + 0.5) * s.dt
-    lowest = mean + float(np.min(swing * np.sin(pace * t)))
-    if lowest < least - 1e-9 and (swing or mean):
+    (amplitude, omega), t = s.sampling.delay_sine, (np.arange(to_ticks(s.duration, s) + 1) + 0.5) * s.dt
+    lowest = mean + float(np.min(amplitude * np.sin(omega * t)))
+    if lowest < least - 1e-9 and (amplitude or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
         yield f"got {name} = {mean:g} s in {s.name}, " + (
             f"which falls to {max(lowest, 0):g} s or less as it varies, expected at least half a tick on the way to the "
             f"plant, and never below 0; write at least {need:g}."
-            if swing
+            if amplitude
             else f"expected 0 or at least half a tick; write {need:g}."
         )
 
@@ -110,8 +110,8 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
 def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each delay beyond the run, and for each jitter or assumed delay that does not fit."""
     ticks, error = to_ticks(s.duration, s), s.belief.assumed_delay_error
-    for one in each_sensor:  # checked before the delay values are listed
-        mean, shape = number(one.sampling.delay_gamma_mean), number(one.sampling.delay_gamma_shape)
+    for sensor in each_sensor:  # checked before the delay values are listed
+        mean, shape = number(sensor.sampling.delay_gamma_mean), number(sensor.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
             continue
         if not (latest := sampling.latest_of_gamma(mean, shape)) <= REACH * s.duration:
@@ -127,11 +127,11 @@ def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
                 f"got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, expected less "
                 f"than half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
-        youngest, early = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
-        if early > (assumed := youngest + to_ticks(error, s)) and early:
+        youngest, lead = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
+        if lead > (assumed_delay := youngest + to_ticks(error, s)) and lead:
             yield (
-                f"got timestamps up to {early * s.dt:g} s after the sampling in {s.name}, whose shortest delay is "
-                f"{assumed * s.dt:g} s, expected "
+                f"got timestamps up to {lead * s.dt:g} s after the sampling in {s.name}, whose shortest delay is "
+                f"{assumed_delay * s.dt:g} s, expected "
                 "no arrival before its timestamp; use smaller timestamp errors, a negative timestamp_offset, or a longer delay."
             )
         if youngest * s.dt + error < -1e-9:
@@ -144,8 +144,8 @@ def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
 
 def _of_sensors(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each noise, loss or delay of a sensor that is impossible or has no effect."""
-    for one in each_sensor:
-        measured, belief = one.sampling, one.belief
+    for sensor in each_sensor:
+        measured, belief = sensor.sampling, sensor.belief
         noiseless = not any(measured.noise_std)
         if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
             yield (
@@ -189,18 +189,18 @@ def _of_sensors(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
 
 def _of_correlation(s: Scenario) -> Iterator[str]:
     """Yield a sentence if the noise of the channels cannot be correlated as given."""
-    given, many = s.sampling.noise_correlation, len(s.sampling.delay)
-    if not given:
+    rows, q = s.sampling.noise_correlation, len(s.sampling.delay)
+    if not rows:
         return
-    rho = np.array(given) if {len(row) for row in given} == {len(given)} else np.zeros((0, 0))
-    if rho.shape != (many, many) or (rho != rho.T).any() or (np.diag(rho) != 1).any():
+    rho = np.array(rows) if {len(row) for row in rows} == {len(rows)} else np.zeros((0, 0))
+    if rho.shape != (q, q) or (rho != rho.T).any() or (np.diag(rho) != 1).any():
         yield (
-            f"got noise_correlation = {[list(row) for row in given]} in {s.name}, expected {many} rows of {many} numbers: "
+            f"got noise_correlation = {[list(row) for row in rows]} in {s.name}, expected {q} rows of {q} numbers: "
             "symmetric, with ones on the diagonal."
         )
     elif np.linalg.eigvalsh(rho)[0] <= 0:
         yield (
-            f"got noise_correlation = {[list(row) for row in given]} in {s.name}, expected every eigenvalue above 0; bring its "
+            f"got noise_correlation = {[list(row) for row in rows]} in {s.name}, expected every eigenvalue above 0; bring its "
             "entries closer to 0."
         )
     elif len(clocks(s)) > 1 or s.sampling.continuous:
@@ -221,8 +221,8 @@ def _of_delays(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
                 f"got {name} = {plain(name, s.value(name))} in {s.name} with {article} {needs} of 0, so it has no effect, "
                 "expected both or neither; leave it out."
             )
-    for one in each_sensor:
-        values, stay = one.sampling.delay_values, one.sampling.delay_self_transition
+    for sensor in each_sensor:
+        values, stay = sensor.sampling.delay_values, sensor.sampling.delay_self_transition
         if stay and not values:
             yield (
                 f"got delay_self_transition in {s.name} without delay_values, so it has no effect, expected both or neither; "
@@ -238,14 +238,14 @@ def _of_delays(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
                 f"got {len(stay)} values of delay_self_transition for {len(values)} delay_values, expected one, or one for "
                 "each."
             )
-    turns = s.sampling.delay_sequence
-    if turns and set(turns) == {LOST}:
+    sequence = s.sampling.delay_sequence
+    if sequence and set(sequence) == {LOST}:
         yield f"got delay_sequence in {s.name} of which all are '{LOST}', expected a delay among them; write one."
-    drawn = [name for name in DRAWN if s.value(name)]
-    drawn += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
-    if turns and drawn:
+    random_axes = [name for name in RANDOM_AXES if s.value(name)]
+    random_axes += ["sampling_pattern 'uniform'"] if s.sampling.sampling_pattern == "uniform" else []
+    if sequence and random_axes:
         yield (
-            f"got {drawn[0]} with delay_sequence in {s.name}, expected one of them: the sequence is the same in all "
+            f"got {random_axes[0]} with delay_sequence in {s.name}, expected one of them: the sequence is the same in all "
             "runs, and the other one is random in each run; leave one out."
         )
     if s.sampling.dither and not any(s.sampling.quantization_step):
@@ -279,27 +279,30 @@ def _of_stamps(s: Scenario) -> Iterator[str]:
 def _of_trigger(s: Scenario) -> Iterator[str]:
     """Yield a sentence if sensors cannot decide which samples they send, or if a protocol has no effect."""
     measured = s.sampling
-    named = "try_once_discard" if measured.try_once_discard else "send_threshold"
+    axis = "try_once_discard" if measured.try_once_discard else "send_threshold"
     if not measured.try_once_discard and not any(measured.send_threshold):
         return
     if measured.prefilled:
         yield (
-            f"got {named} in {s.name}, whose sampling began before t = 0, expected samples from t = 0 on; leave it out, or "
+            f"got {axis} in {s.name}, whose sampling began before t = 0, expected samples from t = 0 on; leave it out, or "
             "close the loop of another scenario."
         )
     if np.isfinite(measured.processor_speed):
-        yield f"got {named} with a processor_speed, expected one of them; leave one out."
-    each = clocks(s)
-    drawn = any(c.jitter or c.profile == "uniform" for c in each)
-    if measured.try_once_discard and (len({(c.period, c.phase, c.profile) for c in each}) > 1 or drawn * len(each) > 1):
+        yield f"got {axis} with a processor_speed, expected one of them; leave one out."
+    sensor_clocks = clocks(s)
+    is_random = any(c.jitter or c.profile == "uniform" for c in sensor_clocks)
+    if measured.try_once_discard and (
+        len({(c.period, c.phase, c.profile) for c in sensor_clocks}) > 1 or is_random * len(sensor_clocks) > 1
+    ):
         yield (
             f"got try_once_discard = 1 in {s.name}, whose outputs are sampled at different times, expected one "
             "sampling_period and one sampling_phase, and delays that are equal if sampling times are random; make them equal."
         )
     if measured.try_once_discard and any(measured.send_threshold) and not all(measured.send_threshold):
-        given = plain("send_threshold", measured.send_threshold)
+        thresholds = plain("send_threshold", measured.send_threshold)
         yield (
-            f"got try_once_discard = 1 with the send_threshold {given}, expected all thresholds above 0, or none: changes are "
+            f"got try_once_discard = 1 with the send_threshold {thresholds}, expected all thresholds above 0, or none: changes "
+            "are "
             "compared in units of them; write the others."
         )
     if measured.try_once_discard and len(measured.delay) == 1:
@@ -308,17 +311,17 @@ def _of_trigger(s: Scenario) -> Iterator[str]:
 
 def _of_processor(s: Scenario) -> Iterator[str]:
     """Yield a sentence if samples are not the regular ones of one sensor, which the schedule of a processor takes in turn."""
-    speed, each = s.sampling.processor_speed, clocks(s)
+    speed, sensor_clocks = s.sampling.processor_speed, clocks(s)
     if s.sampling.continuous or not np.isfinite(speed):
         return
-    wrong = [name for name in DRAWN if s.value(name)]
-    wrong += ["sampling_pattern"] if s.sampling.sampling_pattern != "periodic" else []
-    wrong += ["delay_sequence"] if s.sampling.delay_sequence else []
-    wrong += ["prefilled"] if s.sampling.prefilled else []
-    wrong += ["channels that differ"] if len({(c.period, c.delay, c.phase) for c in each}) > 1 else []
-    if wrong:
+    misfits = [name for name in RANDOM_AXES if s.value(name)]
+    misfits += ["sampling_pattern"] if s.sampling.sampling_pattern != "periodic" else []
+    misfits += ["delay_sequence"] if s.sampling.delay_sequence else []
+    misfits += ["prefilled"] if s.sampling.prefilled else []
+    misfits += ["channels that differ"] if len({(c.period, c.delay, c.phase) for c in sensor_clocks}) > 1 else []
+    if misfits:
         yield (
-            f"got processor_speed = {speed:g} with {', '.join(wrong)}, expected regular samples of one sensor; "
+            f"got processor_speed = {speed:g} with {', '.join(misfits)}, expected regular samples of one sensor; "
             "leave one of them out."
         )
 
@@ -341,47 +344,52 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
                 f"expected an equilibrium, which a linear model needs; move the point, leave {label} out, or use ekf."
             )
         if residual is None:
-            able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
-            yield (f"a nonlinear plant, expected one with a linear model; leave {label} out, or use one of {able}.")
+            alternatives = ", ".join(name for name, spec in OBSERVERS.items() if spec.nonlinear)
+            yield (
+                f"a nonlinear plant, expected one with a linear model; leave {label} out, or use one of {alternatives}."
+            )
     if s.loop.controller and not entry.loops:
         yield (
             "a closed loop, expected an open one: it needs older inputs than a loop stores; "
             f"leave {label} out, or use ekf."
         )
     if s.sampling.continuous and entry.observer.field is None:
-        able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)
+        alternatives = ", ".join(name for name, spec in OBSERVERS.items() if spec.observer.field)
         yield (
             f"continuous measurements, expected samples: it has no continuous-time form; leave {label} out, use one "
-            f"of {able}, or "
+            f"of {alternatives}, or "
             "use a scenario with samples."
         )
     measured = s.sampling
     regular = measured.sampling_pattern == "periodic"
-    follows = INTERVAL in measured.delay and not (regular and not measured.sampling_jitter)
-    drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
-    if entry.takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
-        varies = ", ".join(drawn) or "a delay of one interval that varies"
+    is_interval = INTERVAL in measured.delay and not (regular and not measured.sampling_jitter)
+    delay_axes = [name for name in (*DELAY_AXES, *TIMESTAMP_AXES) if s.value(name)]
+    if entry.takes == "one constant delay" and (measured.delay_jitter or delay_axes or is_interval):
+        varies = ", ".join(delay_axes) or "a delay of one interval that varies"
         yield (
-            f"{f'a delay_jitter of {_each(measured.delay_jitter)} s' if measured.delay_jitter else varies}, expected one "
+            f"{f'a delay_jitter of {_list_values(measured.delay_jitter)} s' if measured.delay_jitter else varies}, expected "
+            "one "
             f"constant delay: it does not use the age of a sample; leave {label} out, or use pccebo, pco or kf."
         )
     if entry.takes == "constant delays":
         shifts = ("delay_jitter", "sampling_jitter", "sampling_phase")
-        unsteady = [f"a {name} of {_each(v)} s" for name in shifts if np.any(v := s.value(name))]
-        unsteady += drawn
-        unsteady += [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
-        if unsteady:
+        variations = [f"a {name} of {_list_values(v)} s" for name in shifts if np.any(v := s.value(name))]
+        variations += delay_axes
+        variations += (
+            [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
+        )
+        if variations:
             yield (
-                f"{', '.join(unsteady)}, expected regular samples with constant delays, the first at t = 0; leave "
+                f"{', '.join(variations)}, expected regular samples with constant delays, the first at t = 0; leave "
                 f"{label} out, or "
                 "use kf."
             )
     if entry.observer.uses_silence and any(measured.send_threshold):
-        causes = ("loss", "outage_duration", "delay_jitter", "sampling_jitter", *LATENESS)
-        unsure = [name for name in causes if np.any(s.value(name))] + ([] if regular else ["sampling_pattern"])
-        if unsure:
+        causes = ("loss", "outage_duration", "delay_jitter", "sampling_jitter", *DELAY_AXES)
+        silences = [name for name in causes if np.any(s.value(name))] + ([] if regular else ["sampling_pattern"])
+        if silences:
             yield (
-                f"{', '.join(unsure)} with a send_threshold, expected a network that delivers every sample in time, so that "
+                f"{', '.join(silences)} with a send_threshold, expected a network that delivers every sample in time, so that "
                 f"silence means that none was sent; leave {label} out, or use kf."
             )
     if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
@@ -390,13 +398,15 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             f"leave {label} out, or use kf."
         )
     if entry.takes == "one clock" and len(clocks(s)) > 1:
-        each = {name: s.value(name) for name in OF_A_SENSOR}
-        several = "; ".join(f"{k} = {plain(k, v)}" for k, v in each.items() if isinstance(v, tuple) and len(set(v)) > 1)
+        values = {name: s.value(name) for name in OF_A_SENSOR}
+        several = "; ".join(
+            f"{k} = {plain(k, v)}" for k, v in values.items() if isinstance(v, tuple) and len(set(v)) > 1
+        )
         yield (
             f"channels that differ ({several}), expected one period, one delay and one network for all; make them equal, or "
             "use kf."
         )
 
 
-def _each(value: PerChannel) -> str:
+def _list_values(value: PerChannel) -> str:
     return ", ".join(f"{v:g}" for v in per_channel(value, 1))

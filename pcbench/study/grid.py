@@ -95,19 +95,19 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     lengths = [len(values) for values in axes.values()]
-    many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
-    require_few_cells(many, to_ticks(base.duration, base), where)
-    choices, out, apart, its_axes = choices_of(study), [], channels_apart(study), axes_of(base)
+    n_cells = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
+    require_few_cells(n_cells, to_ticks(base.duration, base), where)
+    choices, out, as_lists, its_axes = choices_of(study), [], axes_with_lists(study), axes_of(base)
     commands = sorted(command_columns(study) - set(its_axes))
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
-    mine = {o: found for o in options if (found := own_in(study, o))}
-    digests = {o: options_digest(each, mine.get(o)) for o, each in options.items()}
+    plugins = {o: plugin for o in options if (plugin := own_in(study, o))}
+    digests = {o: options_digest(m, plugins.get(o)) for o, m in options.items()}
     names, tuned = _tuned_by_point(study, base, where)
     for index, point in enumerate(points(study.vary, list(axes.values()))):
-        given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in its_axes}
-        if "process_std" in given and base.belief.assumed_process_std == base.truth.process_std:
-            fields["assumed_process_std"] = given[
+        axis_values = dict(zip(axes, point, strict=True))
+        fields = {k: v for k, v in axis_values.items() if k in its_axes}
+        if "process_std" in axis_values and base.belief.assumed_process_std == base.truth.process_std:
+            fields["assumed_process_std"] = axis_values[
                 "process_std"
             ]  # designs assume the true process noise, as in the scenario
         s = base.having(**fields, input=choices.input or base.loop.input)
@@ -120,18 +120,18 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             s = s.having(unknown_input=choices.unknown_input)
         _require_loop(s, choices, where)
         fits.fits(s, where if where == scenario else f"{where}: {scenario}")
-        shown = [name for name in its_axes if name in given or name not in axis.ASKED]
-        values = {name: axis.plain(name, s.value(name), name in apart) for name in shown}
+        columns = [name for name in its_axes if name in axis_values or name not in axis.OPTIONAL]
+        values = {name: axis.plain(name, s.value(name), name in as_lists) for name in columns}
         values |= dict.fromkeys(commands)  # null: the loop has no controller
-        of_plant = {k: v for k, v in given.items() if k.startswith("plant.")}
-        parameters = dict(base.truth.parameters) | {k.removeprefix("plant."): v for k, v in of_plant.items()}
+        plant_values = {k: v for k, v in axis_values.items() if k.startswith("plant.")}
+        parameters = dict(base.truth.parameters) | {k.removeprefix("plant."): v for k, v in plant_values.items()}
         if base.plant == "lti":
             require_plant(s, parameters, where)
-        cell = cell_of(s, index, values | of_plant, parameters, choices)
-        here = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
-        by_label = digests | {o: options_digest(each, mine.get(o)) for o, each in here.items()}
-        identified = cell._replace(digest=identity(cell, study.root_seed), engine=engine_of(s, study.engine or "steps"))
-        out.append(identified._replace(options=options | here, own=mine, options_digests=by_label))
+        cell = cell_of(s, index, values | plant_values, parameters, choices)
+        tuned_options = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
+        by_label = digests | {o: options_digest(m, plugins.get(o)) for o, m in tuned_options.items()}
+        cell = cell._replace(digest=identity(cell, study.root_seed), engine=engine_of(s, study.engine or "steps"))
+        out.append(cell._replace(options=options | tuned_options, own=plugins, options_digests=by_label))
     return out
 
 
@@ -143,12 +143,12 @@ def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str]
     record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
     cells, out = (record and record.cells) or [], Tuned()
     names = list(cells[0].cell) if cells else []
-    for i, each in enumerate(cells):
+    for i, entry in enumerate(cells):
         place = f"{where}: tuned.cells[{i}].cell"
-        if list(each.cell) != names:
-            raise UserError(f"{place}: got {', '.join(each.cell)}, expected {', '.join(names)}, as the first has.")
-        point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in each.cell.items())
-        out[point] = each.options
+        if list(entry.cell) != names:
+            raise UserError(f"{place}: got {', '.join(entry.cell)}, expected {', '.join(names)}, as the first has.")
+        point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in entry.cell.items())
+        out[point] = entry.options
     return names, out
 
 
@@ -158,15 +158,15 @@ def _tuned_options(
     """Return the options tuned at this grid point; raise UserError if only other grid points were tuned."""
     values = {f"plant.{name}": value for name, value in cell.parameters.items()}
     point = tuple(values[name] if name in values else cell.scenario.value(name) for name in names)
-    if (found := tuned.get(point)) is not None:
+    if (by_label := tuned.get(point)) is not None:
         place = f"{study.name}: tuned.cells: options"
-        return {o: checked_options(study, o, found[o], f"{place}.{o}") for o in labels if o in found}
-    lacking = sorted({label for each in tuned.values() for label in each} & set(labels))
-    if not lacking:
+        return {o: checked_options(study, o, by_label[o], f"{place}.{o}") for o in labels if o in by_label}
+    missing = sorted({label for t in tuned.values() for label in t} & set(labels))
+    if not missing:
         return {}
     at = ", ".join(f"{name} = {axis.plain(name, value)}" for name, value in zip(names, point, strict=True))
     raise UserError(
-        f"{where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every grid point; tune again "
+        f"{where}: tuned.cells: got no gains of {', '.join(missing)} at {at}, expected those of every grid point; tune again "
         "with this one in the axes."
     )
 
@@ -184,9 +184,9 @@ def points(vary: str, axes: list[list[V]]) -> Iterator[tuple[V, ...]]:
 
 def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
     """Raise UserError if an option for closed loops is given for an open loop, or the reverse."""
-    given = [(name, value) for name, value in choices.loop().items() if value is not None]
-    if given and s.loop.controller != "pd":
-        got = f"{where}: options.scenario.{given[0][0]}: got {given[0][1]!r} for {s.name}"
+    loop_choices = [(name, value) for name, value in choices.loop().items() if value is not None]
+    if loop_choices and s.loop.controller != "pd":
+        got = f"{where}: options.scenario.{loop_choices[0][0]}: got {loop_choices[0][1]!r} for {s.name}"
         if not s.loop.controller:
             raise UserError(
                 f"{got}, which has no controller, expected a closed loop such as helicopter/constant; leave it out."
@@ -202,21 +202,24 @@ def _require_loop(s: Scenario, choices: Choices, where: str) -> None:
         )
 
 
-def channels_apart(study: Study) -> set[str]:
+def axes_with_lists(study: Study) -> set[str]:
     """Return the axes whose channels differ at any grid point of a study; its tables then have a list in every row."""
-    known, out = scenarios_of(study), set()
+    scenarios, out = scenarios_of(study), set()
     for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_self_transition"):
-        given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
-        if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
+        values = study.axes.get(name) or [scenarios[s].value(name) for s in study.scenarios]
+        if any(isinstance(v, list | tuple) and len(set(v)) > 1 for v in values):
             out.add(name)
     return out
 
 
 def command_columns(study: Study) -> set[str]:
     """Return the columns on commands that every table of a study has if one of its scenarios has a controller."""
-    known = scenarios_of(study)
+    scenarios = scenarios_of(study)
     return {
-        name for s in study.scenarios for name in axes_of(known[s]) if name in axis.COMMANDS and name not in axis.ASKED
+        name
+        for s in study.scenarios
+        for name in axes_of(scenarios[s])
+        if name in axis.COMMANDS and name not in axis.OPTIONAL
     }
 
 
@@ -231,9 +234,9 @@ def identity(cell: Cell, root_seed: int) -> str:
     return _digest(decisive)
 
 
-def options_digest(options: BaseModel, own: UserPlugin | None = None) -> str:
+def options_digest(options: BaseModel, plugin: UserPlugin | None = None) -> str:
     """Return the digest of an observer's options, and of its code if it is user-defined."""
-    return _digest([options.model_dump(exclude_none=True), own.code.digest] if own else options.model_dump())
+    return _digest([options.model_dump(exclude_none=True), plugin.code.digest] if plugin else options.model_dump())
 
 
 def _digest(decisive: object) -> str:
@@ -246,13 +249,13 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
 
     `engine` is the first engine of its dataset, which is kept. If that engine is not usable, the definition computes new runs.
     """
-    study, every = grid
+    study, cells = grid
     if engine is None:
         name = usable(study.engine or "steps")
     else:
         name = engine if study.engine is None or usable(study.engine) == engine else study.engine
     return Grid(
-        study.model_copy(update={"engine": name}), [c._replace(engine=engine_of(c.scenario, name)) for c in every]
+        study.model_copy(update={"engine": name}), [c._replace(engine=engine_of(c.scenario, name)) for c in cells]
     )
 
 
@@ -285,24 +288,24 @@ def cells_of(study: Study) -> list[Cell]:
     return [cell for name in study.scenarios for cell in cells(study, name)]
 
 
-def reseed(every: list[Cell], root_seed: int) -> list[Cell]:
+def reseed(cells: list[Cell], root_seed: int) -> list[Cell]:
     """Return the grid points with another root seed, and so other random numbers."""
-    return [cell._replace(digest=identity(cell, root_seed)) for cell in every]
+    return [cell._replace(digest=identity(cell, root_seed)) for cell in cells]
 
 
-def number_cells(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
-    """Return the grid points renumbered; those with `known` digests (by scenario, in order of number) keep their numbers."""
-    numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in known.items()}
+def number_cells(cells: list[Cell], order: dict[str, list[str]]) -> list[Cell]:
+    """Return the grid points renumbered; those with the digests `order` (by scenario, by number) keep their numbers."""
+    numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in order.items()}
     out = []
-    for cell in every:
-        taken = numbers.setdefault(cell.scenario.name, {})
-        out.append(cell._replace(number=taken.setdefault(cell.digest, len(taken))))
+    for cell in cells:
+        by_digest = numbers.setdefault(cell.scenario.name, {})
+        out.append(cell._replace(number=by_digest.setdefault(cell.digest, len(by_digest))))
     return out
 
 
-def numbering(every: list[Cell]) -> dict[str, list[str]]:
+def numbering(cells: list[Cell]) -> dict[str, list[str]]:
     """Return the digests of the grid points by scenario, in order of number."""
     out: dict[str, list[str]] = {}
-    for cell in sorted(every, key=lambda c: c.number):
+    for cell in sorted(cells, key=lambda c: c.number):
         out.setdefault(cell.scenario.name, []).append(cell.digest)
     return out

@@ -48,12 +48,12 @@ def lti(system: object, *, name: str = "lti", **experiment: object) -> Study:
     matrices = _state_space(system)
     for key in experiment:
         if key not in Lti.model_fields or key in ("A", "B", "C", "D", "dt"):
-            known = [field for field in Lti.model_fields if field not in ("A", "B", "C", "D", "dt")]
-            raise unknown("pcbench.lti", "key of an experiment", key, known)
+            valid = [field for field in Lti.model_fields if field not in ("A", "B", "C", "D", "dt")]
+            raise unknown("pcbench.lti", "key of an experiment", key, valid)
     labels = [str(label) for label in getattr(system, "state_labels", None) or []]
-    named = {"states": labels} if labels and all(re.fullmatch(r"[A-Za-z]\w*", label) for label in labels) else {}
-    given = {key: plain(value) for key, value in experiment.items() if value is not None}
-    return parse({"name": name, "lti": matrices | named | given}, "pcbench.lti")
+    states = {"states": labels} if labels and all(re.fullmatch(r"[A-Za-z]\w*", label) for label in labels) else {}
+    table = {key: plain(value) for key, value in experiment.items() if value is not None}
+    return parse({"name": name, "lti": matrices | states | table}, "pcbench.lti")
 
 
 def to_scipy(study: Study) -> "signal.StateSpace | signal.dlti":

@@ -31,12 +31,12 @@ def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
 
     Raises UserError for an invalid label, or one of two observers.
     """
-    given, options = raw.get("observers"), raw.get("options")
+    observers, options = raw.get("observers"), raw.get("options")
     use = dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {}
-    if isinstance(given, dict):
-        raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
-    elif isinstance(given, list):
-        raw = raw | {"observers": _labels(given, use, f"{where}: observers")}
+    if isinstance(observers, dict):
+        raw = raw | {"observers": list(observers), "options": _options(observers, options, use, where)}
+    elif isinstance(observers, list):
+        raw = raw | {"observers": _labels(observers, use, f"{where}: observers")}
 
     def with_labels(table: TomlTable, place: str) -> TomlTable:
         names = table.get("observers")
@@ -81,37 +81,37 @@ def _labels(names: list[object], use: dict[str, str], where: str) -> list[object
                     f'labels; write [observers.LABEL] use = "{short(name)}".'
                 )
             use[label] = name
-        elif label not in use and base_of(label) is None and (found := find_plugins("observer").get(label)):
-            use[label] = found.reference
+        elif label not in use and base_of(label) is None and (plugin := find_plugins("observer").get(label)):
+            use[label] = plugin.reference
         out.append(label)
     return out
 
 
-def _options(given: TomlTable, options: object, use: dict[str, str], where: str) -> TomlTable:
+def _options(tables: TomlTable, options: object, use: dict[str, str], where: str) -> TomlTable:
     """Return the options of a study whose observers are tables; their references are added to `use`."""
     out = dict(options) if isinstance(options, dict) else {}
-    for label, table in given.items():
-        here = f"{where}: observers.{short(label)}"
+    for label, table in tables.items():
+        place = f"{where}: observers.{short(label)}"
         if not isinstance(table, dict):
             raise UserError(
-                f"{here}: got {brief_repr(table)}, expected a table with `use` and options; write [observers.{label}]."
+                f"{place}: got {brief_repr(table)}, expected a table with `use` and options; write [observers.{label}]."
             )
-        mine = dict(table)
-        if (text := mine.pop("use", None)) is not None:
+        values = dict(table)
+        if (text := values.pop("use", None)) is not None:
             if not isinstance(text, str):
-                raise UserError(f'{here}.use: got {brief_repr(text)}, expected MODULE:NAME such as "mine.py:nudge".')
+                raise UserError(f'{place}.use: got {brief_repr(text)}, expected MODULE:NAME such as "mine.py:nudge".')
             if user_code.is_reference(text):
-                user_code.split(text, f"{here}.use")
+                user_code.split(text, f"{place}.use")
                 _free(label, text, where)
                 use[label] = text
             elif text in OBSERVERS and label != text and not label.startswith(text + "-"):
                 raise UserError(
-                    f"{here}.use: got '{text}', expected a label that begins with it; write [observers.{text}-{label}]."
+                    f"{place}.use: got '{text}', expected a label that begins with it; write [observers.{text}-{label}]."
                 )
-        if mine and label in out:
-            raise UserError(f"{here}: got options here and in options.{label}, expected them once; remove one.")
-        if mine:
-            out[label] = mine
+        if values and label in out:
+            raise UserError(f"{place}: got options here and in options.{label}, expected them once; remove one.")
+        if values:
+            out[label] = values
     return out
 
 
@@ -142,33 +142,33 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
 
     If the study has a controller, it closes the loops of the named scenarios.
     """
-    known, where = SCENARIOS, where or study.name
+    scenarios, where = SCENARIOS, where or study.name
     if study.lti is not None:
-        known = known | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
+        scenarios = scenarios | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
     if study.scenario is not None:
         name = study.scenario.name or study.name
-        known = known | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._own)}
+        scenarios = scenarios | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._own)}
     for name, table in (study.tables or {}).items():
-        known = known | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._own)}
+        scenarios = scenarios | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._own)}
     if study.controller is None:
-        return known
-    mine = [name for name in study.scenarios if name in known]
-    return known | {
-        name: close_loop(known[name], study.controller, f"{where}: controller", study._own) for name in mine
+        return scenarios
+    names = [name for name in study.scenarios if name in scenarios]
+    return scenarios | {
+        name: close_loop(scenarios[name], study.controller, f"{where}: controller", study._own) for name in names
     }
 
 
 def labels_of(study: Study) -> list[str]:
     """Return every label of an observer: its name, or name-suffix if the study or a scenario has options for it."""
-    given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
-    variants = (key for key in [*given, *study.options] if base_in(study, key) is not None)
+    scenario_labels = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
+    variants = (key for key in [*scenario_labels, *study.options] if base_in(study, key) is not None)
     return list(dict.fromkeys([*study.custom_observers, *OBSERVERS, *variants]))
 
 
 def base_in(study: Study, label: str) -> str | None:
     """Return the observer of a label in a study, user-defined ones first: its name, or name-suffix."""
-    found = [name for name in study.custom_observers if label == name or label.startswith(name + "-")]
-    return max(found, key=len) if found and label.isprintable() and len(label) <= LONGEST else base_of(label)
+    names = [name for name in study.custom_observers if label == name or label.startswith(name + "-")]
+    return max(names, key=len) if names and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
 def own_in(study: Study, label: str) -> UserPlugin | None:
@@ -178,8 +178,8 @@ def own_in(study: Study, label: str) -> UserPlugin | None:
 
 def entry_in(study: Study, label: str) -> ObserverSpec:
     """Return the entry of an observer's label in a study; raise KeyError if there is none."""
-    mine = own_in(study, label)
-    return mine.entry if mine else OBSERVERS[base_in(study, label) or label]
+    plugin = own_in(study, label)
+    return plugin.entry if plugin else OBSERVERS[base_in(study, label) or label]
 
 
 def observers_of(study: Study, scenario: str) -> list[str]:

@@ -13,24 +13,24 @@ from pcbench.study import STUDIES, Choices, Study, empirical_delays, lti_inputs,
 from pcbench.study import axes as axis
 from pcbench.study.labels import each_table, resolve_labels
 from pcbench.study.plugins import user_code
-from pcbench.study.plugins.references import Gate, absolute, looked_up
+from pcbench.study.plugins.references import Gate, absolute, resolve_installed
 from pcbench.study.plugins.user_plants import collect_scenarios, plain
 from pcbench.toml_text import TomlTable
 
 Described = str | Path | TomlTable | Study  # a built-in name, a TOML file, or its content
 
 
-def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
+def raw_of(source: Described, overrides: list[str], gate: Gate) -> TomlTable:
     """Return a study as a dict with `key=value` overrides and _ for - in its keys; its values are not checked.
 
     `gate` controls access to code and files.
     """
     folder: Path | None = None
-    if isinstance(what, Study):
-        raw = deepcopy(what.model_dump(exclude_none=True))
-    elif not isinstance(what, str | Path):
-        raw = deepcopy(plain(dict(what)))
-    elif (name := str(what)) in STUDIES:
+    if isinstance(source, Study):
+        raw = deepcopy(source.model_dump(exclude_none=True))
+    elif not isinstance(source, str | Path):
+        raw = deepcopy(plain(dict(source)))
+    elif (name := str(source)) in STUDIES:
         raw = STUDIES[name].model_dump(exclude_none=True)
     elif name in SCENARIOS:
         raw = {"name": name, "scenarios": [name]}
@@ -44,35 +44,35 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> TomlTable:
             "results holds."
         )
     else:
-        near = nearest_name(name, known := [*STUDIES, *SCENARIOS])
-        hint = f"did you mean '{near}'? " if near else ""
+        nearest = nearest_name(name, names := [*STUDIES, *SCENARIOS])
+        hint = f"did you mean '{nearest}'? " if nearest else ""
         raise UserError(
-            f"study: '{short(name)}' is no study, scenario or TOML file; {hint}pcbench list shows all {len(known)} names."
+            f"study: '{short(name)}' is no study, scenario or TOML file; {hint}pcbench list shows all {len(names)} names."
         )
     for text in overrides:
         override(raw, text)
-    if isinstance(what, str) and what in SCENARIOS and isinstance(changes := raw.get("scenario"), dict):
-        raw["scenario"] = changes = {"name": f"{what}-changed", "base": what} | changes
+    if isinstance(source, str) and source in SCENARIOS and isinstance(changes := raw.get("scenario"), dict):
+        raw["scenario"] = changes = {"name": f"{source}-changed", "base": source} | changes
         raw["scenarios"] = [changes["name"]]
-    return normalize_raw(raw, where_of(what, raw), folder, gate)
+    return normalize_raw(raw, where_of(source, raw), folder, gate)
 
 
-def where_of(what: Described, raw: TomlTable) -> str:
+def where_of(source: Described, raw: TomlTable) -> str:
     """Return the name of a study in messages: the word or file by which it was requested, or else its name."""
-    return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
+    return str(source) if isinstance(source, str | Path) else str(raw.get("name", "study"))
 
 
 def normalize_raw(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # TOML reads `plant.lam = [...]` as a table
-        nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
-        for key in nested:
+        plant_axes = {f"plant.{name}": values for name, values in axes["plant"].items()}
+        for key in plant_axes:
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
-        raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
+        raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | plant_axes}
     raw = resolve_labels(collect_scenarios(underscore_keys(raw, where), where, folder, gate), where)
-    raw = looked_up(raw) if folder is None else absolute(looked_up(raw), folder)
+    raw = resolve_installed(raw) if folder is None else absolute(resolve_installed(raw), folder)
     for name in ("tune", "controller"):
         if isinstance(raw.get(name), dict):
             raw[name] = underscore_keys(raw[name], f"{where}: {name}")
@@ -94,8 +94,8 @@ def _with_files(table: TomlTable, where: str, folder: Path | None, gate: Gate) -
             )
     table = lti_inputs.inline_csv_files(table, where, folder)
     base = SCENARIOS.get(table["base"]) if isinstance(table.get("base"), str) else None
-    given = [float(v) for key in ("dt", "tick") if isinstance(v := table.get(key), int | float) and v > 0]
-    return empirical_delays.resolve_delays(table, where, folder, (*given, base.dt if base else 1e-3)[0])
+    ticks = [float(v) for key in ("dt", "tick") if isinstance(v := table.get(key), int | float) and v > 0]
+    return empirical_delays.resolve_delays(table, where, folder, (*ticks, base.dt if base else 1e-3)[0])
 
 
 def override(raw: TomlTable, change: str) -> None:
@@ -113,14 +113,14 @@ def override(raw: TomlTable, change: str) -> None:
         if places:
             raise UserError(f"{where}: '{short(key.strip())}' is no key of a study; write {' or '.join(places)}.")
         if equals:
-            known = [*Study.model_fields, "axes.AXIS", "options.OBSERVER.KEY"]
-            raise unknown(where, "key of a study", key.strip(), known)
+            valid = [*Study.model_fields, "axes.AXIS", "options.OBSERVER.KEY"]
+            raise unknown(where, "key of a study", key.strip(), valid)
     path = [part.strip() for part in key.split(".", 1 if key.strip().startswith("axes.") else -1)]
     if not equals or not all(path):
         raise UserError(f"{where}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
     try:
-        parsed = toml_text.parse(f"value = {text}")
-        value = parsed["value"] if len(parsed) == 1 else text.strip()
+        table = toml_text.parse(f"value = {text}")
+        value = table["value"] if len(table) == 1 else text.strip()
     except ValueError:
         value = text.strip()
     if path[0] == "axes" and len(path) > 1 and not isinstance(value, list):

@@ -17,7 +17,7 @@ from pcbench.scenarios.sources import units
 from pcbench.signal_names import names_and_units
 from pcbench.study import axes, times
 from pcbench.study.lti_inputs import sources
-from pcbench.study.lti_plant import LtiTable, differing, dimensions, nominal_numbers, require_slow
+from pcbench.study.lti_plant import LtiTable, dimensions, nominal_numbers, plant_deviations, require_slow
 from pcbench.study.parse_scenario import experiment_on
 from pcbench.study.scenario_schema import Experiment, takes_axes
 
@@ -34,12 +34,12 @@ def process_noise(
     """
     n = np.shape(A)[0]
     if std is not None:
-        if other := next((name for name in ("G", "QN") if getattr(lti, name) is not None), None):
-            raise UserError(f"{where}: got process_std and {other}, expected one of the two ways; leave one out.")
-        each = std if isinstance(std, list) else [float(std)] * n
-        if len(each) != n:
-            raise UserError(f"{where}.process_std: got {len(each)} numbers, expected {n}, one for each state.")
-        return tuple(each) if any(each) else ()
+        if key := next((name for name in ("G", "QN") if getattr(lti, name) is not None), None):
+            raise UserError(f"{where}: got process_std and {key}, expected one of the two ways; leave one out.")
+        stds = std if isinstance(std, list) else [float(std)] * n
+        if len(stds) != n:
+            raise UserError(f"{where}.process_std: got {len(stds)} numbers, expected {n}, one for each state.")
+        return tuple(stds) if any(stds) else ()
     if lti.QN is None:
         if lti.G is not None:
             raise UserError(f"{where}.QN is missing, which G needs; write QN = ..., the intensity of the noise.")
@@ -59,22 +59,22 @@ def process_noise(
     return tuple(tuple(row) for row in ((V * np.sqrt(np.maximum(size, 0.0))) @ V.T).tolist())
 
 
-def covariance(given: float | list[float] | list[list[float]], many: int, where: str) -> NDArray[np.float64]:
-    """Return a number, `many` numbers or rows as a matrix; raise UserError if it is not a covariance of this size."""
-    if not isinstance(given, list):
-        return float(given) * np.eye(many)
-    flat = not any(isinstance(row, list) for row in given)
-    if len(given) != many or not (flat or all(isinstance(row, list) and len(row) == many for row in given)):
+def covariance(entries: float | list[float] | list[list[float]], n: int, where: str) -> NDArray[np.float64]:
+    """Return a number, `n` numbers or rows as a matrix; raise UserError if it is not a covariance of this size."""
+    if not isinstance(entries, list):
+        return float(entries) * np.eye(n)
+    flat = not any(isinstance(row, list) for row in entries)
+    if len(entries) != n or not (flat or all(isinstance(row, list) and len(row) == n for row in entries)):
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a number, {many} numbers, or {many} x {many}: one noise "
+            f"{where}: got {brief_repr(entries)}, expected a number, {n} numbers, or {n} x {n}: one noise "
             "for each column "
             "of G."
         )
-    Q: NDArray[np.float64] = np.diag(np.array(given, float)) if flat else np.array(given, float)
+    Q: NDArray[np.float64] = np.diag(np.array(entries, float)) if flat else np.array(entries, float)
     size = max(float(np.abs(Q).max()), 1e-300)
     if np.abs(Q - Q.T).max() > ROUNDING * size or np.linalg.eigvalsh(Q)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a covariance: symmetric, with no eigenvalue below 0; "
+            f"{where}: got {brief_repr(entries)}, expected a covariance: symmetric, with no eigenvalue below 0; "
             "correct its entries."
         )
     return Q
@@ -100,7 +100,7 @@ class Lti(Experiment, LtiTable):
         """Return the experiment as a scenario; raise UserError with the invalid key."""
         n, m, _ = dimensions(self, where)
         numbers = self.numbers(where)
-        plant = differing(self, numbers, where)
+        plant = plant_deviations(self, numbers, where)
         if self.dt is not None and self.tick not in (None, self.dt):
             raise UserError(
                 f"{where}: got a discrete plant of dt = {self.dt:g} s and a tick of {self.tick:g} s, expected the same; "
@@ -111,18 +111,18 @@ class Lti(Experiment, LtiTable):
             raise UserError(
                 f"{where}.unknown_input: got {brief_repr(self.unknown_input)} without E, expected E [n, r] too."
             )
-        given = {key: value for key, value in self.given().items() if key not in LtiTable.model_fields}
-        tick, asked = self.dt or self.tick or 1e-3, given.pop("duration", Scenario._field_defaults["duration"])
-        ticks = times.ticks_of(asked, tick, where)
-        given |= {
-            "x0": given.get("x0", 1.0),
-            "steady_start": round(given.get("steady_start", 0.3 * asked) / tick) * tick,
+        table = {key: value for key, value in self.as_table().items() if key not in LtiTable.model_fields}
+        tick, duration = self.dt or self.tick or 1e-3, table.pop("duration", Scenario._field_defaults["duration"])
+        ticks = times.ticks_of(duration, tick, where)
+        table |= {
+            "x0": table.get("x0", 1.0),
+            "steady_start": round(table.get("steady_start", 0.3 * duration) / tick) * tick,
         }
-        given["input"] = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
-        pushing, place = given.pop("unknown_input", "sine"), f"{where}.unknown_input"
-        pushing = sources(pushing, r, SINGLE, (ticks, tick), "unknown inputs", place) if r else ""
+        table["input"] = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
+        unknown_input, place = table.pop("unknown_input", "sine"), f"{where}.unknown_input"
+        unknown_input = sources(unknown_input, r, SINGLE, (ticks, tick), "unknown inputs", place) if r else ""
         unknowns = tuple(
-            ("input" if r == 1 else f"input{i + 1}", unit or "1") for i, unit in enumerate(units(pushing, r))
+            ("input" if r == 1 else f"input{i + 1}", unit or "1") for i, unit in enumerate(units(unknown_input, r))
         )
         states = tuple((f"x{i + 1}", "1") for i in range(n))
         if self.states is not None:
@@ -137,7 +137,7 @@ class Lti(Experiment, LtiTable):
         require_slow(numbers.A, self.dt is not None, ticks, tick, where)
         model = {letter: getattr(numbers, letter) for letter in MATRICES} | {"discrete": numbers.discrete}
         model |= {"own": dict(numbers.own), "written": dict(numbers.written)} if numbers.own else {}
-        noise = process_noise(self, given.pop("process_std", None), numbers.A, tick, where)
+        noise = process_noise(self, table.pop("process_std", None), numbers.A, tick, where)
         base = Scenario(
             name=name,
             summary="a user's plant",
@@ -149,7 +149,7 @@ class Lti(Experiment, LtiTable):
                 parameter_drift=1.0 if plant else 0.0,
                 parameters={"plant": plant} if plant else NOTHING,
                 process_std=noise,
-                unknown_input=pushing,
+                unknown_input=unknown_input,
             ),
             loop=Loop(),
             sampling=Sampling((), (), ()),
@@ -164,4 +164,4 @@ class Lti(Experiment, LtiTable):
             dt=tick,
             duration=ticks * tick,
         )
-        return experiment_on(base, given, where)
+        return experiment_on(base, table, where)

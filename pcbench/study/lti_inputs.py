@@ -18,13 +18,13 @@ from pcbench.study import axes
 from pcbench.toml_text import TomlTable
 
 ROWS = 200_000  # largest number of rows of a table
-REPEATING = [name for name in SHAPES if name != "step"]
+PERIODIC = [name for name in SHAPES if name != "step"]
 
 
 def files_in(table: TomlTable) -> list[str]:
     """Return the keys of a table that name a CSV file."""
-    given = {key: table.get(key) for key in ("input", "unknown_input")}
-    return [key for key, text in given.items() if isinstance(text, str) and text.strip().lower().endswith(".csv")]
+    values = {key: table.get(key) for key in ("input", "unknown_input")}
+    return [key for key, text in values.items() if isinstance(text, str) and text.strip().lower().endswith(".csv")]
 
 
 def inline_csv_files(table: TomlTable, where: str, folder: Path | None) -> TomlTable:
@@ -66,79 +66,81 @@ def _read(path: Path) -> list[list[float]]:
     return out
 
 
-def sources(given: object, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
-    """Return the sources of `many` inputs (of a `kind`) as in a scenario; raise UserError for an invalid one.
+def sources(
+    value: object, n_inputs: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str
+) -> Sources:
+    """Return the sources of `n_inputs` inputs (of a `kind`) as in a scenario; raise UserError for an invalid one.
 
     `ticks` are their number and length [s]; `valid` are the allowed names.
     """
-    if isinstance(given, str):
-        return ", ".join(_signal_names(given, valid, many, kind, where))
-    if isinstance(given, dict):
-        return (_wave(given, where),)
-    if not isinstance(given, list) or not given:
+    if isinstance(value, str):
+        return ", ".join(_signal_names(value, valid, n_inputs, kind, where))
+    if isinstance(value, dict):
+        return (_wave(value, where),)
+    if not isinstance(value, list) or not value:
         raise UserError(
-            f"{where}: got {brief_repr(given)}, expected a signal's name, a table such as {{signal = 'sine', amplitude = 2.0, "
+            f"{where}: got {brief_repr(value)}, expected a signal's name, a table such as {{signal = 'sine', amplitude = 2.0, "
             "frequency = 0.5}, a value for each tick, rows [t, u], or a CSV file."
         )
-    if all(isinstance(each, dict | str) for each in given):
-        if len(given) not in (1, many):
-            raise UserError(f"{where}: got {len(given)} signals, expected one, or one for each of {many} {kind}.")
+    if all(isinstance(entry, dict | str) for entry in value):
+        if len(value) not in (1, n_inputs):
+            raise UserError(f"{where}: got {len(value)} signals, expected one, or one for each of {n_inputs} {kind}.")
         return tuple(
-            _wave(each, f"{where}[{i}]")
-            if isinstance(each, dict)
-            else _signal_names(each, valid, 1, "input", f"{where}[{i}]")[0]
-            for i, each in enumerate(given)
+            _wave(entry, f"{where}[{i}]")
+            if isinstance(entry, dict)
+            else _signal_names(entry, valid, 1, "input", f"{where}[{i}]")[0]
+            for i, entry in enumerate(value)
         )
-    return (_table(given, many, ticks, kind, where),)
+    return (_table(value, n_inputs, ticks, kind, where),)
 
 
-def _wave(given: TomlTable, where: str) -> Wave:
+def _wave(table: TomlTable, where: str) -> Wave:
     """Return a wave from its table."""
-    for key in given:
+    for key in table:
         if key not in ("signal", *Wave._fields[1:]):
             raise unknown(where, "key of a signal", key, ("signal", *Wave._fields[1:]))
-    shape = given.get("signal")
+    shape = table.get("signal")
     if shape is None:
         raise UserError(f"{where}.signal is missing; write signal = one of {', '.join(SHAPES)}.")
     if shape not in SHAPES:
         raise unknown(f"{where}.signal", "shape of a signal", str(shape), SHAPES)
-    measured_in = given.get("unit", "")
+    measured_in = table.get("unit", "")
     if not isinstance(measured_in, str):
         raise UserError(f"{where}.unit: got {brief_repr(measured_in)}, expected a text such as 'V'.")
     numbers = {
-        key: axes.number(given[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
+        key: axes.number(table[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
         for key in ("amplitude", "frequency", "offset", "phase")
-        if key in given
+        if key in table
     }
-    if shape in REPEATING and not numbers.get("frequency"):
+    if shape in PERIODIC and not numbers.get("frequency"):
         raise UserError(f"{where}: got a {shape} without a frequency, expected one; write frequency = ..., in Hz.")
-    if shape not in REPEATING and (numbers.get("frequency") or numbers.get("phase")):
+    if shape not in PERIODIC and (numbers.get("frequency") or numbers.get("phase")):
         raise UserError(f"{where}: got a {shape} with a frequency or a phase, expected neither; leave them out.")
     return Wave(shape, **numbers, unit=measured_in and unit(measured_in, f"{where}.unit"))
 
 
-def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
+def _table(entries: list[object], n_inputs: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
     """Return a table from a value for each tick, or from rows [t, u1, ...]."""
     count, dt = ticks
-    if len(given) > ROWS:
+    if len(entries) > ROWS:
         raise UserError(
-            f"{where}: got {len(given):,} rows, expected at most {ROWS:,}; take a longer tick, or fewer rows."
+            f"{where}: got {len(entries):,} rows, expected at most {ROWS:,}; take a longer tick, or fewer rows."
         )
-    if not any(isinstance(row, list) for row in given):
-        each = [axes.number(v, f"{where}[{i}]", None) for i, v in enumerate(given)]
-        if len(each) not in (count, count + 1):
+    if not any(isinstance(row, list) for row in entries):
+        values = [axes.number(v, f"{where}[{i}]", None) for i, v in enumerate(entries)]
+        if len(values) not in (count, count + 1):
             raise UserError(
-                f"{where}: got {len(each)} numbers, expected {count}, one for each tick of {dt:g} s; write rows [t, u] to hold "
-                "a value longer."
+                f"{where}: got {len(values)} numbers, expected {count}, one for each tick of {dt:g} s; write rows [t, u] to "
+                "hold a value longer."
             )
-        return Table(tuple(i * dt for i in range(len(each))), tuple((v,) for v in each))
-    rows = [row for row in given if isinstance(row, list)]
-    for i, row in enumerate(given):
-        if not isinstance(row, list) or len(row) not in (2, many + 1) or len(row) != len(rows[0]):
+        return Table(tuple(i * dt for i in range(len(values))), tuple((v,) for v in values))
+    rows = [row for row in entries if isinstance(row, list)]
+    for i, row in enumerate(entries):
+        if not isinstance(row, list) or len(row) not in (2, n_inputs + 1) or len(row) != len(rows[0]):
             raise UserError(
-                f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} "
+                f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if n_inputs == 1 else f'1 or {n_inputs}'} "
                 "numbers, the "
-                f"same in each: one for all, or one for each of {many} {kind}."
+                f"same in each: one for all, or one for each of {n_inputs} {kind}."
             )
     numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(rows)]
     for i in range(1, len(numbers)):
@@ -150,13 +152,13 @@ def _table(given: list[object], many: int, ticks: tuple[int, float], kind: str, 
     return Table(tuple(row[0] for row in numbers), tuple(tuple(row[1:]) for row in numbers))
 
 
-def _signal_names(text: str, valid: Iterable[str], many: int, kind: str, where: str) -> list[str]:
-    """Return the names of signals, one or one for each of `many`."""
+def _signal_names(text: str, valid: Iterable[str], n_inputs: int, kind: str, where: str) -> list[str]:
+    """Return the names of signals, one or one for each of `n_inputs`."""
     names = [part.strip() for part in text.split(",")]
     for name in names:
         if name not in valid:
             raise unknown(where, "input", short(name), valid)
     columns = len(names) + sum(name.startswith("heater") for name in names)  # a heater signal has two columns
-    if columns not in (1, many):
-        raise UserError(f"{where}: got {columns} signals, expected one, or one for each of {many} {kind}.")
+    if columns not in (1, n_inputs):
+        raise UserError(f"{where}: got {columns} signals, expected one, or one for each of {n_inputs} {kind}.")
     return names

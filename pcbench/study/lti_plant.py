@@ -22,8 +22,8 @@ from pcbench.toml_text import TomlTable
 
 # powers of ten by which a plant may grow over the run, so that powers of its map, up to the eighth, stay finite
 GROWTH = 30
-MOST = 50  # limit for states, inputs, outputs and unknown inputs
-TAKEN = {*Numbers._fields, "own", "x0"}  # names that a parameter cannot have
+MAX_SIZE = 50  # limit for states, inputs, outputs and unknown inputs
+RESERVED = {*Numbers._fields, "own", "x0"}  # names that a parameter cannot have
 
 
 def _formula(text: str) -> str:
@@ -36,7 +36,7 @@ Rows = Annotated[list[list[Number | Annotated[str, AfterValidator(_formula)]]], 
 Intensity = Size | list[Size] | list[list[Number]]
 
 
-class Differing(BaseModel):
+class PlantDeviations(BaseModel):
     """`[lti.plant]`: true values that the design does not use: any of the matrices or of the named numbers."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
@@ -47,7 +47,7 @@ class Differing(BaseModel):
     D: Rows | None = Field(None, description="[q, m]")
     E: Rows | None = Field(None, description="[n, r]")
 
-    def given(self) -> TomlTable:
+    def as_table(self) -> TomlTable:
         """Return the given values by letter and by name."""
         return self.model_dump(exclude_none=True)
 
@@ -59,7 +59,7 @@ class LtiTable(BaseModel):
     parameters: dict[str, Number] | None = Field(
         None, description='numbers by name; entries of A to E may be formulas of them, such as "-k/m"'
     )
-    plant: Differing | None = Field(
+    plant: PlantDeviations | None = Field(
         None, description="true values that differ from the assumed ones: any of A to E, or of the parameters"
     )
     A: Rows = Field(description="[n, n]")
@@ -81,10 +81,10 @@ def dimensions(lti: "LtiTable", where: str) -> tuple[int, int, int]:
     """Return n, m, q; raise UserError with the matrix whose shape does not fit."""
     n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
     shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, max(r, 1))}
-    if max(n, m, q, r) > MOST:
+    if max(n, m, q, r) > MAX_SIZE:
         raise UserError(
-            f"{where}: got {n} states, {m} inputs, {q} outputs and {r} unknown inputs, expected at most {MOST} of each; reduce "
-            "the model."
+            f"{where}: got {n} states, {m} inputs, {q} outputs and {r} unknown inputs, expected at most {MAX_SIZE} of each; "
+            "reduce the model."
         )
     for name, shape in shapes.items():
         rows = getattr(lti, name)
@@ -117,27 +117,27 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
 
     Raises UserError if a formula has an unknown name or no value, or if a parameter enters no matrix.
     """
-    own, rows = lti.parameters or {}, {letter: getattr(lti, letter) for letter in MATRICES}
-    for name in own:
-        if not re.fullmatch(r"[A-Za-z]\w*", name) or name in TAKEN:
+    parameters, rows = lti.parameters or {}, {letter: getattr(lti, letter) for letter in MATRICES}
+    for name in parameters:
+        if not re.fullmatch(r"[A-Za-z]\w*", name) or name in RESERVED:
             raise UserError(
                 f"{where}.parameters: got a parameter called '{short(name)}', expected a name of letters and digits that the "
                 "plant does not have yet; rename it."
             )
-    given, used = lti.plant.given() if lti.plant else {}, set[str]()
+    deviations, names = lti.plant.as_table() if lti.plant else {}, set[str]()
     formulas = [(f"{where}.{letter}", text) for letter in MATRICES for text in _formulas(rows[letter])]
-    formulas += [(f"{where}.plant.{letter}", text) for letter in MATRICES for text in _formulas(given.get(letter))]
+    formulas += [(f"{where}.plant.{letter}", text) for letter in MATRICES for text in _formulas(deviations.get(letter))]
     for place, (i, j, text) in formulas:
         for name in sorted(expression.names(expression.parse_formula(text))):
-            if not own:
+            if not parameters:
                 raise UserError(
                     f"{place}[{i}][{j}]: got '{short(text)}', expected a number, or a table [lti.parameters] with {name}."
                 )
-            if name not in own:
-                raise unknown(f"{place}[{i}][{j}]", "parameter of lti", name, own)
-            used.add(name)
-    for name in own:
-        if name not in used:
+            if name not in parameters:
+                raise unknown(f"{place}[{i}][{j}]", "parameter of lti", name, parameters)
+            names.add(name)
+    for name in parameters:
+        if name not in names:
             raise UserError(
                 f"{where}.parameters: got {name}, which enters no matrix, expected one that does; write it into A, B, C, D or "
                 "E, or leave it out."
@@ -146,37 +146,37 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
     for letter, numbers in values.items():
         for i, j, text in _formulas(rows[letter]):
             try:
-                numbers[i][j] = expression.value(expression.parse_formula(text), own)
+                numbers[i][j] = expression.value(expression.parse_formula(text), parameters)
             except ValueError:
                 raise UserError(
                     f"{where}.{letter}[{i}][{j}]: got '{short(text)}', expected a finite number at "
-                    f"{_named_values(own) or 'all times'}; correct the formula or its parameters."
+                    f"{_named_values(parameters) or 'all times'}; correct the formula or its parameters."
                 ) from None
-    written = {letter: r for letter, r in rows.items() if _formulas(r)}
-    return Numbers(**values, discrete=lti.dt is not None, own=own, written=written)
+    formula_rows = {letter: r for letter, r in rows.items() if _formulas(r)}
+    return Numbers(**values, discrete=lti.dt is not None, own=parameters, written=formula_rows)
 
 
-def differing(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
+def plant_deviations(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
     """Return the true values that differ from the model: rows by letter, numbers by name; raise UserError for invalid ones."""
     if lti.plant is None:
         return {}
-    given = lti.plant.given()
-    if not given:
+    deviations = lti.plant.as_table()
+    if not deviations:
         raise UserError(f"{where}.plant: got an empty table, expected what differs; write A = ... or leave it out.")
-    there = [letter for letter in MATRICES if letter == "D" or getattr(numbers, letter) is not None]
-    for name, rows in given.items():
-        if name not in [*there, *numbers.own]:
-            raise unknown(f"{where}.plant", "matrix or parameter of the plant", name, [*there, *numbers.own])
+    letters = [letter for letter in MATRICES if letter == "D" or getattr(numbers, letter) is not None]
+    for name, rows in deviations.items():
+        if name not in [*letters, *numbers.own]:
+            raise unknown(f"{where}.plant", "matrix or parameter of the plant", name, [*letters, *numbers.own])
         if name not in MATRICES:
             continue
-        want = (len(numbers.C), len(numbers.B[0])) if name == "D" else np.shape(getattr(numbers, name))
+        shape = (len(numbers.C), len(numbers.B[0])) if name == "D" else np.shape(getattr(numbers, name))
         widths = sorted({len(row) for row in rows})
-        if len(rows) != want[0] or any(width != want[1] for width in widths):
+        if len(rows) != shape[0] or any(width != shape[1] for width in widths):
             raise UserError(
-                f"{where}.plant.{name}: got {len(rows)} rows of {', '.join(map(str, widths))} numbers, expected {want[0]} x "
-                f"{want[1]}, as the model's."
+                f"{where}.plant.{name}: got {len(rows)} rows of {', '.join(map(str, widths))} numbers, expected {shape[0]} x "
+                f"{shape[1]}, as the model's."
             )
-    return given
+    return deviations
 
 
 def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
@@ -198,5 +198,5 @@ def _formulas(rows: Sequence[Sequence[float | str]] | None) -> list[tuple[int, i
     return [(i, j, v) for i, row in enumerate(rows or []) for j, v in enumerate(row) if isinstance(v, str)]
 
 
-def _named_values(own: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:g}" for name, value in own.items())
+def _named_values(parameters: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())

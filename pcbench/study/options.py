@@ -32,8 +32,8 @@ def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
 
 def own_options(study: Study, observer: str) -> Study:
     """Return a study with only the options of its scenario and of one observer."""
-    mine = ("scenario", observer, base_in(study, observer) or observer)
-    return study.model_copy(update={"options": {name: of for name, of in study.options.items() if name in mine}})
+    names = ("scenario", observer, base_in(study, observer) or observer)
+    return study.model_copy(update={"options": {name: of for name, of in study.options.items() if name in names}})
 
 
 def choices_of(study: Study) -> Choices:
@@ -41,7 +41,7 @@ def choices_of(study: Study) -> Choices:
     return Choices.model_validate(dashes(study.options.get("scenario", {})))
 
 
-def checked_options(study: Study, name: str, given: TomlTable, where: str) -> BaseModel:
+def checked_options(study: Study, name: str, table: TomlTable, where: str) -> BaseModel:
     """Return the options of an observer's label, or of 'scenario', validated and with defaults."""
     bare = name.rstrip("0123456789")
     if bare != name and base_in(study, name) is None and base_in(study, bare) == bare:
@@ -53,17 +53,17 @@ def checked_options(study: Study, name: str, given: TomlTable, where: str) -> Ba
             where, "observer with options (or 'scenario')", name, [*study.custom_observers, *OBSERVERS, "scenario"]
         )
     model = Choices if name == "scenario" else entry_in(study, name).options
-    for key in dashes(given) if model.model_config.get("extra") != "allow" else ():
+    for key in dashes(table) if model.model_config.get("extra") != "allow" else ():
         if model is Choices and key == "drift_sign":
             raise UserError(
                 f"{where}: got drift_sign, expected it as a parameter of the cart; write axes.plant.drift_sign."
             )
         if key not in model.model_fields:
             raise unknown(where, "key here", key, model.model_fields)
-    underscore_keys(given, where)
-    for key, value in given.items():
+    underscore_keys(table, where)
+    for key, value in table.items():
         _require_sensible_size(value, f"{where}.{key}")
-    options = validate_options(model, dashes(given), where)
+    options = validate_options(model, dashes(table), where)
     if not isinstance(options, Choices):
         return options
     names = {"input": ("input", SIGNALS), "unknown_input": ("input", SINGLE), "path": ("path", PATHS)}
@@ -82,25 +82,25 @@ def checked_options(study: Study, name: str, given: TomlTable, where: str) -> Ba
     return options
 
 
-def dashes(given: TomlTable) -> TomlTable:
+def dashes(table: TomlTable) -> TomlTable:
     """Return a table with _ for - in its keys."""
-    return {key.replace("-", "_"): value for key, value in given.items()}
+    return {key.replace("-", "_"): value for key, value in table.items()}
 
 
-def underscore_keys(given: TomlTable, where: str, but: str = "\n") -> TomlTable:
+def underscore_keys(table: TomlTable, where: str, but: str = "\n") -> TomlTable:
     """Return a table with _ for - in its keys, except those that begin with `but`; raise UserError for a key given twice."""
-    out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
-    if len(out) < len(given):
-        twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
+    out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in table.items()}
+    if len(out) < len(table):
+        twice = next(key for key in table if "-" in key and key.replace("-", "_") in table)
         raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
     return out
 
 
 def _require_sensible_size(value: object, where: str) -> None:
     """Raise UserError if a number, or one in a list, is too large or too small to be squared."""
-    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
-    for each in inside:
-        _require_sensible_size(each, where)
+    children = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
+    for child in children:
+        _require_sensible_size(child, where)
     if isinstance(value, int | float) and value == value and value and not LEAST <= abs(value) <= axes.LARGEST:
         raise UserError(
             f"{where}: got {brief_repr(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; "

@@ -26,7 +26,7 @@ from pcbench.study.grid import Cell, Grid, cells
 from pcbench.study.labels import base_in
 from pcbench.study.load import Described, normalize_raw, raw_of, where_of
 from pcbench.study.plugins import registry
-from pcbench.study.plugins.references import Gate, PluginReference, named_in
+from pcbench.study.plugins.references import Gate, PluginReference, references_in
 from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
@@ -34,17 +34,17 @@ from pcbench.toml_text import TomlTable
 ALL = "all"  # all observers that can run
 
 
-def _from_here(named: PluginReference, where: str) -> UserPlugin:
+def _load_plugin(reference: PluginReference, where: str) -> UserPlugin:
     """Run the code that a study names, with paths relative to the working folder."""
-    return registry.load(named.kind, named.reference, where)
+    return registry.load(reference.kind, reference.reference, where)
 
 
-FROM_HERE = Gate(_from_here, files=True)  # for a study given by the user
+FROM_HERE = Gate(_load_plugin, files=True)  # for a study given by the user
 
 
-def load(what: str, overrides: list[str] | None = None) -> Study:
+def load(source: str, overrides: list[str] | None = None) -> Study:
     """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
-    return parse(raw_of(what, overrides or [], FROM_HERE), what)
+    return parse(raw_of(source, overrides or [], FROM_HERE), source)
 
 
 def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
@@ -56,50 +56,52 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
     """
     raw = normalize_raw(raw, where, None, gate)
     table, tables = raw.get("scenario"), raw.get("tables")
-    own = [LTI] if raw.get("lti") is not None else []
+    own_names = [LTI] if raw.get("lti") is not None else []
     if table is not None:
-        own.append(str((table.get("name") if isinstance(table, dict) else None) or raw.get("name")))
-    own += tables if isinstance(tables, dict) else ()
-    if own and not raw.get("scenarios"):  # no other scenarios are named
-        raw = raw | {"scenarios": own}
+        own_names.append(str((table.get("name") if isinstance(table, dict) else None) or raw.get("name")))
+    own_names += tables if isinstance(tables, dict) else ()
+    if own_names and not raw.get("scenarios"):  # no other scenarios are named
+        raw = raw | {"scenarios": own_names}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
-    mine = {f"scenarios.{name}": each for name, each in (study.tables or {}).items()}  # by their place
-    mine = ({"scenario": study.scenario} if study.scenario else {}) | mine
-    labels = {o for each in mine.values() for o in (*(each.observers or ()), *(each.options or ()))}
-    if (many := len({*(study.observers or ()), *study.options, *labels})) > times.LABELS:
+    by_place = {"scenario": study.scenario} if study.scenario else {}
+    by_place |= {f"scenarios.{name}": t for name, t in (study.tables or {}).items()}
+    labels = {o for t in by_place.values() for o in (*(t.observers or ()), *(t.options or ()))}
+    if (n_labels := len({*(study.observers or ()), *study.options, *labels})) > times.LABELS:
         raise UserError(
-            f"{where}: got {many:,} observers and options of observers, expected at most {times.LABELS:,}; divide the study."
+            f"{where}: got {n_labels:,} observers and options of observers, expected at most {times.LABELS:,}; divide the "
+            "study."
         )
-    for each in named_in(raw):
-        study._own[each.key] = gate.code(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
-    known = scenarios_of(study, where)
+    for reference in references_in(raw):
+        place = f"{where}: {reference.key if reference.kind == 'observer' else reference.kind}"
+        study._own[reference.key] = gate.code(reference, place)
+    scenarios = scenarios_of(study, where)
     for name in study.scenarios:
-        if name not in known:
-            raise unknown(f"{where}: scenarios", "scenario", name, known)
+        if name not in scenarios:
+            raise unknown(f"{where}: scenarios", "scenario", name, scenarios)
     require_different(study.scenarios, f"{where}: scenarios", "remove one")
     lists = {"observers": study.observers, "lti.observers": study.lti.observers if study.lti else None}
-    for place, names in (lists | {f"{place}.observers": each.observers for place, each in mine.items()}).items():
+    for place, names in (lists | {f"{place}.observers": t.observers for place, t in by_place.items()}).items():
         if names is not None:
             _require_observers(study, names, f"{where}: {place}")
-    options = {f"{place}.": table.options or {} for place, table in mine.items()} | {"": study.options}
+    options = {f"{place}.": table.options or {} for place, table in by_place.items()} | {"": study.options}
     for place, by_label in options.items():
-        for name, given in by_label.items():
-            checked_options(study, name, given, f"{where}: {place}options.{name}")
+        for name, values in by_label.items():
+            checked_options(study, name, values, f"{where}: {place}options.{name}")
     return study
 
 
-def outline(what: str, overrides: list[str]) -> Study:
+def outline(source: str, overrides: list[str]) -> Study:
     """Return the named study, as `build_study`; its code is run, its grid is not made.
 
     If its observers are "all", they are not yet resolved, and those of its scenarios are used.
     """
-    raw = raw_of(what, overrides, FROM_HERE)
+    raw = raw_of(source, overrides, FROM_HERE)
     if names_all(raw):
         del raw["observers"]
-    return build_study(raw, what, FROM_HERE)
+    return build_study(raw, source, FROM_HERE)
 
 
 def names_all(raw: TomlTable) -> bool:
@@ -110,20 +112,20 @@ def names_all(raw: TomlTable) -> bool:
 
 def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
     """Return the study that `raw` describes with its grid; raise UserError with the place of the error."""
-    study, every = build_study(raw, where, gate), []
+    study, all_cells = build_study(raw, where, gate), []
     for name in study.scenarios:
-        mine = cells(study, name, where)
-        for observer in mine[0].options:
-            for cell in mine:
+        points = cells(study, name, where)
+        for observer in points[0].options:
+            for cell in points:
                 fits.works_on(observer, cell.entry(observer), cell.scenario, where)
-        every += mine
-    return Grid(study, every)
+        all_cells += points
+    return Grid(study, all_cells)
 
 
-def unstable(found: Grid) -> list[str]:
+def unstable(grid: Grid) -> list[str]:
     """Return a sentence for every loop that its controller does not stabilise; raise DesignError if a law has no gain."""
-    each = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in found.cells}
-    return [said for s in each.values() if (said := controller_table.warning(s, found.study.name))]
+    scenarios = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in grid.cells}
+    return [warning for s in scenarios.values() if (warning := controller_table.warning(s, grid.study.name))]
 
 
 def parse(raw: TomlTable, where: str) -> Study:
@@ -143,19 +145,19 @@ def apply_changes(study: Described, changes: TomlTable, overrides: list[str]) ->
     return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
 
 
-def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+def one_cell(source: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
     """Return a study of these observers with its one grid point; raise UserError if it has more."""
-    study, every = grid_of(what, {"observers": observers}, overrides)
-    if len(every) > 1:
+    study, cells = grid_of(source, {"observers": observers}, overrides)
+    if len(cells) > 1:
         raise UserError(
-            f"{study.name}: got {len(every)} grid points, expected one here; name one scenario, and give each axis one value."
+            f"{study.name}: got {len(cells)} grid points, expected one here; name one scenario, and give each axis one value."
         )
-    return study, every[0]
+    return study, cells[0]
 
 
-def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
+def scenario_of(source: str, overrides: list[str] | None = None) -> Scenario:
     """Return the one scenario of a name or a TOML file; raise UserError if there are more."""
-    return scenario_in(outline(what, overrides or []), what)
+    return scenario_in(outline(source, overrides or []), source)
 
 
 def scenario_in(study: Study, where: str) -> Scenario:
@@ -169,7 +171,7 @@ def _require_observers(study: Study, names: list[str], where: str) -> None:
     """Raise UserError if a list of observers is empty, or contains an unknown or repeated name."""
     if not names:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
-    known = set(labels_of(study))
+    valid = set(labels_of(study))
     for name in names:
         if name == ALL and where.endswith(": observers"):
             raise UserError(f"{where}: got 'all', expected the name of one observer here; see pcbench list observers.")
@@ -177,20 +179,20 @@ def _require_observers(study: Study, names: list[str], where: str) -> None:
             raise UserError(
                 f'{where}: got "all", expected names here; write observers = "all" at the top of the study.'
             )
-        if name not in known and (base := base_in(study, name)) is not None:
+        if name not in valid and (base := base_in(study, name)) is not None:
             raise UserError(
                 f"{where}: got '{short(name)}' without options, expected some for a label of {base}; write "
                 f"[options.{short(name)}]."
             )
-        if name not in known:
-            raise unknown(where, "observer", name, known)
+        if name not in valid:
+            raise unknown(where, "observer", name, valid)
     require_different(names, where, "remove one")
 
 
 def require_signals(study: Study, names: list[str] | None, where: str) -> None:
     """Raise UserError for a signal that no scenario of a study has."""
-    known = scenarios_of(study)
-    there = [signal for name in study.scenarios for signal, _ in signals_of(known[name])]
+    scenarios = scenarios_of(study)
+    signals = [signal for name in study.scenarios for signal, _ in signals_of(scenarios[name])]
     for name in names or []:
-        if name not in there:
-            raise unknown(where, f"signal of {study.name}", name, set(there))
+        if name not in signals:
+            raise unknown(where, f"signal of {study.name}", name, set(signals))

@@ -34,11 +34,11 @@ SIZES = {
     "settle_band": ("signal", False),
 }
 EACH = {"n": "state", "s": "unknown", "q": "output", "signal": "signal"}
-AS_GIVEN = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
+UNCHECKED_KEYS = ("prefilled", "continuous", "drift_intensity", "steady_start", "options")
 
 
-def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
-    """Return the scenario of a table; `own` has user-defined plants and controllers by MODULE:NAME.
+def scenario_of(table: ScenarioTable, name: str, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
+    """Return the scenario of a table; `plugins` has user-defined plants and controllers by MODULE:NAME.
 
     Raises UserError with the invalid key.
     """
@@ -47,12 +47,12 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, U
             f"{where}.name: got '{name}', expected a name that no other scenario has; write another, such as "
             f"'my-{name.replace('/', '-')}'."
         )
-    given = table.given()
-    s = _base(table, given, where)._replace(name=name)
-    s = s.having(**{key: given[key] for key in ("dt", "duration") if key in given})
+    values = table.as_table()
+    s = _base(table, values, where)._replace(name=name)
+    s = s.having(**{key: values[key] for key in ("dt", "duration") if key in values})
     times.ticks_of(s.duration, s.dt, where)
-    s = _of_plant(s, given, where, own)
-    s = experiment_on(s, given, where, own, is_new=table.base is None)
+    s = _of_plant(s, values, where, plugins)
+    s = experiment_on(s, values, where, plugins, is_new=table.base is None)
     if s.sampling.continuous and (entry_of(s).plant.field is None or entry_of(s).nominal(numbers_of(s)).discrete):
         raise UserError(
             f"{where}.continuous: got true for {s.plant}, expected a plant that is a vector field; leave it out."
@@ -61,75 +61,75 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, U
 
 
 def experiment_on(
-    s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin] = NOTHING, is_new: bool = True
+    s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, UserPlugin] = NOTHING, is_new: bool = True
 ) -> Scenario:
     """Return a scenario that has a plant with the experiment of a table; a new scenario gets defaults.
 
     Raises UserError with the invalid key.
     """
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
-    many = {"n": len(model.A), "s": len(estimated_of(s)) - len(states_of(s)), "q": len(model.C)}
-    many["signal"] = len(signals_of(s))
+    sizes = {"n": len(model.A), "s": len(estimated_of(s)) - len(states_of(s)), "q": len(model.C)}
+    sizes["signal"] = len(signals_of(s))
     for key, (size, _) in SIZES.items():
-        if key in given and not isinstance(given[key], list):
-            given[key] = [float(given[key])] * many[size]
+        if key in values and not isinstance(values[key], list):
+            values[key] = [float(values[key])] * sizes[size]
     for key in ("process_std", "assumed_process_std"):
-        if key in given and (
-            wrong := [i for i, row in enumerate(given[key]) if isinstance(row, list) and len(row) != many["n"]]
+        if key in values and (
+            wrong := [i for i, row in enumerate(values[key]) if isinstance(row, list) and len(row) != sizes["n"]]
         ):
-            got = len(given[key][wrong[0]])
-            raise UserError(f"{where}.{key}[{wrong[0]}]: got {got} numbers, expected {many['n']}, one for each state.")
-        given |= {key: [tuple(row) if isinstance(row, list) else row for row in given[key]]} if key in given else {}
-    s = s.having(**{key: tuple(given[key]) for key in (*SIZES, "delay_sine", "headline") if key in given})
+            got = len(values[key][wrong[0]])
+            raise UserError(f"{where}.{key}[{wrong[0]}]: got {got} numbers, expected {sizes['n']}, one for each state.")
+        values |= {key: [tuple(row) if isinstance(row, list) else row for row in values[key]]} if key in values else {}
+    s = s.having(**{key: tuple(values[key]) for key in (*SIZES, "delay_sine", "headline") if key in values})
     if is_new:
-        s = with_defaults(s, many["n"], many["s"], len(entry.errors)).having(
+        s = with_defaults(s, sizes["n"], sizes["s"], len(entry.errors)).having(
             steady_start=round(0.3 * s.duration / s.dt) * s.dt
         )
-        s = s if "controller" in given or "input" in given else s.having(input="sine")
+        s = s if "controller" in values or "input" in values else s.having(input="sine")
         linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
-        usual = linear if entry.model is None else ("ekf", *linear)
-        s = s if "observers" in given else s._replace(observers=usual)
-    s = _resolve_axis_fields(s, given, many["q"], where)
-    s = s.having(**{key: given[key] for key in AS_GIVEN if key in given})
-    if "noise_correlation" in given:
-        s = s.having(noise_correlation=tuple(map(tuple, given["noise_correlation"])))
-    if (limit := given.get("divergence_threshold")) is not None:
+        observers = linear if entry.model is None else ("ekf", *linear)
+        s = s if "observers" in values else s._replace(observers=observers)
+    s = _resolve_axis_fields(s, values, sizes["q"], where)
+    s = s.having(**{key: values[key] for key in UNCHECKED_KEYS if key in values})
+    if "noise_correlation" in values:
+        s = s.having(noise_correlation=tuple(map(tuple, values["noise_correlation"])))
+    if (limit := values.get("divergence_threshold")) is not None:
         s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
-    s = _driven(s, given, model.B.shape[1], where, own)
-    _require_fit(s, many, where)
+    s = _driven(s, values, model.B.shape[1], where, plugins)
+    _require_fit(s, sizes, where)
     return s
 
 
 def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenario:
     """Return a scenario with defaults for its n states, its unknown inputs and its errors, except x(0)."""
     x0, xhat0 = s.truth.x0, s.belief.xhat0 or (0.0,) * n
-    apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
-    prior, size = s.belief.prior_std or apart, s.belief.unknown_std or (1.0,) * unknowns
-    rest = (*size, *(1.0,) * errors)
-    usual = zip((*prior, *rest), (*apart, *rest), strict=False)
-    band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in usual)
+    distance = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
+    prior, size = s.belief.prior_std or distance, s.belief.unknown_std or (1.0,) * unknowns
+    extra = (*size, *(1.0,) * errors)
+    defaults = zip((*prior, *extra), (*distance, *extra), strict=False)
+    band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in defaults)
     return s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
 
 
-def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
+def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
     """Return the scenario that the table's keys change: the base, or one with only the required keys."""
-    observers = tuple(given.get("observers", ()))
+    observers = tuple(values.get("observers", ()))
     if table.base is not None:
         if table.base not in SCENARIOS:
             raise unknown(f"{where}.base", "published scenario", table.base, SCENARIOS)
         base = SCENARIOS[table.base]
         return base._replace(
-            summary=given.get("summary", f"{base.name}, changed"),
-            source=given.get("source", f"the study, after {base.source}"),
+            summary=values.get("summary", f"{base.name}, changed"),
+            source=values.get("source", f"the study, after {base.source}"),
             observers=observers or base.observers,
         )
     for key in REQUIRED:
-        if key not in given:
+        if key not in values:
             raise UserError(f"{where}: {key} is missing; write {key} = ..., or base = a published scenario.")
     return Scenario(
         name="",
-        summary=given.get("summary", "a user's scenario"),
-        source=given.get("source", "the study"),
+        summary=values.get("summary", "a user's scenario"),
+        source=values.get("source", "the study"),
         plant="",
         observers=observers,
         truth=Truth(()),
@@ -140,64 +140,66 @@ def _base(table: ScenarioTable, given: TomlTable, where: str) -> Scenario:
     )
 
 
-def _of_plant(s: Scenario, given: TomlTable, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
+def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
     """Return the scenario with its plant, the plant's parameters and its signals."""
     valid = [name for name in PLANTS if name != "lti"]
-    plant = given.get("plant", s.plant)
+    plant = values.get("plant", s.plant)
     if plant == "lti":
         raise UserError(
             f"{where}.plant: got 'lti', expected a plant with its own equations; write the table [lti] for a linear plant."
         )
-    if mine := own.get(plant):
-        s = s._replace(plant=mine.code.name, own={**s.own, "plant": mine})
+    if plugin := plugins.get(plant):
+        s = s._replace(plant=plugin.code.name, own={**s.own, "plant": plugin})
     elif plant not in valid:
         raise unknown(f"{where}.plant", "plant (or MODULE:NAME)", plant, valid)
     else:
         s = s._replace(plant=plant)
     entry = entry_of(s)
-    known_to_observers = [name for name in entry.numbers._fields if name not in ("drift", "unknown_input")]
-    for table, known in (("parameters", parameters_of(entry)), ("model", known_to_observers)):
-        values = {}
-        for name, value in given.get(table, {}).items():
-            if name not in known:
-                raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, known)
-            usual = getattr(entry.numbers, name)
-            if type(usual) is float:
+    observer_parameters = [name for name in entry.numbers._fields if name not in ("drift", "unknown_input")]
+    for table, allowed in (("parameters", parameters_of(entry)), ("model", observer_parameters)):
+        numbers = {}
+        for name, value in values.get(table, {}).items():
+            if name not in allowed:
+                raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, allowed)
+            default = getattr(entry.numbers, name)
+            if type(default) is float:
                 value = axes.point(f"plant.{name}", value, s, f"{where}.{table}.{name}")
-            elif type(value) is not type(usual):
+            elif type(value) is not type(default):
                 raise UserError(
-                    f"{where}.{table}.{name}: got {brief_repr(value)}, expected a value such as {brief_repr(usual)}."
+                    f"{where}.{table}.{name}: got {brief_repr(value)}, expected a value such as {brief_repr(default)}."
                 )
-            values[name] = value
-        s = s.having(**{table: values}) if table in given else s
+            numbers[name] = value
+        s = s.having(**{table: numbers}) if table in values else s
     for key, signals in (("signals", entry.signals), ("unknowns", entry.unknowns)):
-        if texts := given.get(key):
+        if texts := values.get(key):
             if len(texts) != len(signals):
                 raise UserError(f"{where}.{key}: got {len(texts)} names, expected {len(signals)}.")
             s = s.having(**{key: names_and_units(texts, f"{where}.{key}")})
     return s
 
 
-def _resolve_axis_fields(s: Scenario, given: TomlTable, q: int, where: str) -> Scenario:
+def _resolve_axis_fields(s: Scenario, values: TomlTable, q: int, where: str) -> Scenario:
     """Return the scenario with the axes' fields in the form of an axis: whole ticks, one value per output."""
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
-    changed = "dt" in given or "duration" in given  # times of a base may not fit the new ticks
+    has_new_ticks = "dt" in values or "duration" in values  # times of a base may not fit the new ticks
     for key in (name for name in axes.AXES if name not in axes.STATES):
-        if key in given or (changed and s.value(key) is not None):
-            value = given.get(key, axes.plain(key, s.value(key), apart=True) if key not in axes.LISTS else s.value(key))
-            value = INTERVAL if value == [None] * q else value
-            s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
+        if key in values or (has_new_ticks and s.value(key) is not None):
+            entry = values.get(
+                key, axes.plain(key, s.value(key), as_list=True) if key not in axes.LISTS else s.value(key)
+            )
+            entry = INTERVAL if entry == [None] * q else entry
+            s = s.having(**{key: axes.point(key, entry, s, f"{where}.{key}")})
     return s
 
 
-def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str, UserPlugin]) -> Scenario:
+def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
     """Return the scenario with its input, its controller and its unknown input."""
     entry, horizon = entry_of(s), (times.to_ticks(s.duration, s), s.dt)
-    loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
-    if mine := own.get(loop.get("controller", "")):
-        loop["controller"] = mine.code.name
-        s = s._replace(own={**s.own, "controller": mine})
+    loop = {key: values[key] for key in ("input", "controller", "control") if key in values}
+    if plugin := plugins.get(loop.get("controller", "")):
+        loop["controller"] = plugin.code.name
+        s = s._replace(own={**s.own, "controller": plugin})
     s = s.having(**loop)
     if loop.get("input") and s.loop.controller and "controller" not in loop:
         s = s.having(controller="", control={})  # an input replaces the controller of a base
@@ -211,28 +213,28 @@ def _driven(s: Scenario, given: TomlTable, m: int, where: str, own: Mapping[str,
     if s.loop.controller:
         _require_controller(s, entry, where)
     elif not isinstance(s.loop.input, tuple):  # from the base
-        found = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
-        s = s if isinstance(s.loop.input, str) else s.having(input=found)
+        signals = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
+        s = s if isinstance(s.loop.input, str) else s.having(input=signals)
     for key in axes.COMMANDS:
-        if value := given.get(key):
+        if value := values.get(key):
             if key not in axes.axes_of(s):
                 raise UserError(
                     f"{where}.{key}: got {brief_repr(value)} where no controller for any plant gives commands, expected none; "
                     "leave it out."
                 )
             s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
-    pushing = given.get("unknown_input")
-    if pushing == "":
+    unknown_input = values.get("unknown_input")
+    if unknown_input == "":
         return s.having(unknown_input="")
-    if pushing:
-        here = f"{where}.unknown_input"
+    if unknown_input:
+        place = f"{where}.unknown_input"
         if "unknown_input" not in entry.numbers._fields:
             raise UserError(
-                f"{here}: got {brief_repr(pushing)} for {s.plant}, expected none: it has no unknown input; leave it out."
+                f"{place}: got {brief_repr(unknown_input)} for {s.plant}, expected none: it has no unknown input; leave it out."
             )
-        many = len(estimated_of(s)) - len(states_of(s))
-        found = sources(pushing, many, SINGLE, horizon, "unknown inputs", here)
-        s = s.having(unknown_input=pushing if isinstance(pushing, str) else found)
+        n_unknowns = len(estimated_of(s)) - len(states_of(s))
+        signals = sources(unknown_input, n_unknowns, SINGLE, horizon, "unknown inputs", place)
+        s = s.having(unknown_input=unknown_input if isinstance(unknown_input, str) else signals)
     return s
 
 
@@ -242,8 +244,8 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     if name not in CONTROLLERS and "controller" not in s.own:
         raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
     if name == "pd" and entry.inverse is None:
-        able = ", ".join(each for each, plant in PLANTS.items() if plant.inverse)
-        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {able}.")
+        supported = ", ".join(p for p, plant in PLANTS.items() if plant.inverse)
+        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {supported}.")
     law = controller_of(s)
     options = validate_options(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
@@ -252,23 +254,23 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
         law.check(options, controller_table.sizes(s, f"{where}.control"))
 
 
-def _require_fit(s: Scenario, many: dict[str, int], where: str) -> None:
+def _require_fit(s: Scenario, sizes: dict[str, int], where: str) -> None:
     """Raise UserError for a list of the wrong length, and for invalid scoring."""
     for key, (size, optional) in SIZES.items():
-        got, want = len(s.value(key)), many[size]
+        got, want = len(s.value(key)), sizes[size]
         if got != want and not (optional and not got):
             raise UserError(
                 f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]}"
                 + (f" of {s.plant}." if s.plant != "lti" else ".")
             )
-    bound, tail = s.scoring.divergence_threshold, s.scoring.steady_start
-    if isinstance(bound, tuple) and len(bound) != many["signal"]:
+    threshold, start = s.scoring.divergence_threshold, s.scoring.steady_start
+    if isinstance(threshold, tuple) and len(threshold) != sizes["signal"]:
         raise UserError(
-            f"{where}.divergence_threshold: got {len(bound)} numbers, expected one, or {many['signal']}, one for each "
+            f"{where}.divergence_threshold: got {len(threshold)} numbers, expected one, or {sizes['signal']}, one for each "
             "signal."
         )
-    if not 0 <= tail < s.duration:
-        raise UserError(f"{where}.steady_start: got {tail:g} s, expected less than the duration of {s.duration:g} s.")
+    if not 0 <= start < s.duration:
+        raise UserError(f"{where}.steady_start: got {start:g} s, expected less than the duration of {s.duration:g} s.")
     names = [name for name, _ in signals_of(s)]
     for name in s.scoring.headline:
         if name not in names:

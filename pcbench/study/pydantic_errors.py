@@ -16,7 +16,7 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
     `keys` are the allowed keys by name of the table; "" is the whole file.
     """
     # an unknown key may cause other errors, so it comes first
-    findings = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+    findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     loc, kind = findings[0]["loc"], findings[0]["type"]
     place = _place(loc)
     if kind == "extra_forbidden":
@@ -29,13 +29,13 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
         return unknown(place, "key here", name, keys.get(table, keys[""]))
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
-    same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]
-    deepest = max(len(_place(each["loc"])) for each in same)
-    near = [each for each in same if len(_place(each["loc"])) == deepest]
-    expected = " or ".join(dict.fromkeys(_rephrase(each["msg"]) for each in near))
-    place = _place(near[0]["loc"])
+    same = [e for e in findings if e["loc"][:1] == loc[:1] and _place(e["loc"]).startswith(place)]
+    deepest = max(len(_place(e["loc"])) for e in same)
+    nearest = [e for e in same if len(_place(e["loc"])) == deepest]
+    expected = " or ".join(dict.fromkeys(_rephrase(e["msg"]) for e in nearest))
+    place = _place(nearest[0]["loc"])
     return UserError(
-        f"{where}: {place + ': ' if place else ''}got {brief_repr(near[0]['input'])}, expected {expected}."
+        f"{where}: {place + ': ' if place else ''}got {brief_repr(nearest[0]['input'])}, expected {expected}."
     )
 
 

@@ -24,12 +24,12 @@ def _zero_or_not_tiny(number: float) -> float:
     return number
 
 
-def rows_only(given: object, info: ValidationInfo) -> object:
+def rows_only(value: object, info: ValidationInfo) -> object:
     """Reject a flat list of numbers, with the matrix form to use: a column for each input, a row for each output."""
-    if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
-        rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
+    if isinstance(value, list) and value and not any(isinstance(v, list) for v in value):
+        rows = [[v] for v in value] if info.field_name in ("B", "E") else [value]
         raise ValueError(f"a list of rows; write {rows}")
-    return given
+    return value
 
 
 Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: no limit
@@ -57,10 +57,10 @@ def kind(field: fields.Field) -> Any:
         return str | numbers if field.word else numbers
     if field.per == "state":
         return Size | list[Size]
-    one_or_each = Number | list[Number] if field.per else Number
+    numeric = Number | list[Number] if field.per else Number
     if field.rows:
-        return one_or_each | list[list[Number]]
-    return one_or_each | str if field.word else one_or_each
+        return numeric | list[list[Number]]
+    return numeric | str if field.word else numeric
 
 
 def takes_axes(
@@ -77,16 +77,16 @@ def takes_axes(
             keys[name] = table.model_fields[name].annotation, copy(table.model_fields[name])
             keys[name][1].default = value
         for f in fields.FIELDS:
-            about = f.meaning if f.unit in ("", "1") else f"[{f.unit}] {f.meaning}"
+            description = f.meaning if f.unit in ("", "1") else f"[{f.unit}] {f.meaning}"
             if f.name in required:
-                keys[f.name] = kind(f), Field(description=about)
+                keys[f.name] = kind(f), Field(description=description)
             elif f.name not in without:
-                keys[f.name] = kind(f) | None, Field(None, description=about)
-        made: type[M] = create_model(
+                keys[f.name] = kind(f) | None, Field(None, description=description)
+        model: type[M] = create_model(
             table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys
         )
-        made.__annotations__ = {}  # the API reference reads fields from the text of the class
-        return made
+        model.__annotations__ = {}  # the API reference reads fields from the text of the class
+        return model
 
     return with_keys
 
@@ -132,10 +132,10 @@ class Experiment(BaseModel):
     )
     observers: list[str] | None = Field(None, min_length=1, description="observers, if the study names none")
 
-    def given(self) -> TomlTable:
+    def as_table(self) -> TomlTable:
         """Return the fields of the scenario that the table sets."""
-        said = {key: getattr(self, key) for key in type(self).model_fields if key not in ("base", "name")}
-        return {key: value for key, value in said.items() if value is not None}
+        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("base", "name")}
+        return {key: value for key, value in values.items() if value is not None}
 
 
 @takes_axes(without=("process_std",))

@@ -33,27 +33,27 @@ def as_study(s: Scenario, axes: Mapping[str, object] = NOTHING, options: Mapping
     lines = [f"name = {toml_value('my-' + s.name.replace('/', '-'))}", "seeds = 256", "", "[scenario]"]
     lines += [_line(s, key) for key in FIRST]
     for record, fields in RECORDS.items():
-        known = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
-        lines += ["", f"# {TITLES[record]}", *(_line(s, key) for key in known)]
-    tables = {f"scenario.options.{key_of(label)}": given for label, given in s.options.items()}
-    tables |= {f"options.{key_of(label)}": given for label, given in options.items()}
-    for name, given in (tables | ({"axes": axes} if axes else {})).items():
-        lines += ["", f"[{name}]", *(f"{key_of(key)} = {toml_value(value)}" for key, value in given.items())]
+        keys = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
+        lines += ["", f"# {TITLES[record]}", *(_line(s, key) for key in keys)]
+    tables = {f"scenario.options.{key_of(label)}": table for label, table in s.options.items()}
+    tables |= {f"options.{key_of(label)}": table for label, table in options.items()}
+    for name, table in (tables | ({"axes": axes} if axes else {})).items():
+        lines += ["", f"[{name}]", *(f"{key_of(key)} = {toml_value(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
 
 
 def _line(s: Scenario, key: str) -> str:
     """Return one key with its value and its meaning; as a comment if the value is the default."""
-    value, about, record = s.value(key), ScenarioTable.model_fields[key].description, RECORD_OF.get(key)
+    value, description, record = s.value(key), ScenarioTable.model_fields[key].description, RECORD_OF.get(key)
     default = getattr(s, record)._field_defaults if record and key != "steady_start" else {}
     if key in ("input", "unknown_input") and not isinstance(value, str):
-        sources = [_source(each) for each in value]
+        sources = [_source(source) for source in value]
         text = toml_value(sources if len(sources) > 1 else sources[0])
     elif key in ("signals", "unknowns"):
         text = toml_value([f"{name} [{unit}]" for name, unit in value])
     else:
         text = toml_value(INTERVAL if key == "delay" and set(value) == {INTERVAL} else value)
-    return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
+    return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {description}"
 
 
 def _source(source: Source) -> object:
@@ -70,9 +70,9 @@ def toml_value(value: object) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key_of(key)} = {toml_value(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{key_of(key)} = {toml_value(v)}" for key, v in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(toml_value(each) for each in value)}]"
+        return f"[{', '.join(toml_value(v) for v in value)}]"
     return repr(value)
 
 

@@ -48,7 +48,7 @@ class Choices(BaseModel):
 
     @field_validator("precision")
     @classmethod
-    def _enough(cls, precision: str) -> str:
+    def _require_float64(cls, precision: str) -> str:
         if precision != "float64":
             raise ValueError("float64: float32 rounds at 1e-7 of a signal, which is the size of errors compared here")
         return precision
@@ -75,10 +75,10 @@ class Tune(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _has_an_exact_value(cls, given: object) -> object:
-        if isinstance(given, dict) and given.get("exact_objective") is True:
-            return {"objective": "pooled_rmse"} | given
-        return given
+    def _set_default_objective(cls, value: object) -> object:
+        if isinstance(value, dict) and value.get("exact_objective") is True:
+            return {"objective": "pooled_rmse"} | value
+        return value
 
 
 class TunedCell(BaseModel):
@@ -154,13 +154,13 @@ class Study(BaseModel):
 
     @field_validator("tuning", mode="before")
     @classmethod
-    def _known(cls, given: object) -> object:
-        asked = [given] if isinstance(given, str) else given
-        if not isinstance(asked, list) or not asked or any(each not in TUNINGS for each in asked):
+    def _require_valid_tunings(cls, value: object) -> object:
+        tunings = [value] if isinstance(value, str) else value
+        if not isinstance(tunings, list) or not tunings or any(t not in TUNINGS for t in tunings):
             raise ValueError(f"{', '.join(map(repr, TUNINGS))}, or a list of them")
-        if len(set(asked)) < len(asked):
+        if len(set(tunings)) < len(tunings):
             raise ValueError("each of them once")
-        return given
+        return value
 
     @property
     def tunings(self) -> list[str]:

@@ -65,14 +65,14 @@ def clocks(s: Scenario) -> list[Clock]:
 
 
 @lru_cache(1 << 14)  # called for every grid point of a study, with few different arguments
-def _clocks(every: Sampling, dt: float) -> tuple[Clock, ...]:
-    many, groups = len(every.delay), dict[Sampling, list[int]]()
-    for j in range(many):
-        alone: dict[str, Any] = {name: per_channel(getattr(every, name), many)[j] for name in OF_A_SENSOR}
-        alone |= {name: (alone[name],) for name in ("sampling_period", "delay")}
-        rows = {name: getattr(every, name) for name in fields.names(rows=True)}
-        alone |= {name: each[j] for name, each in rows.items() if has_rows(each)}
-        groups.setdefault(every._replace(**alone), []).append(j)
+def _clocks(all_channels: Sampling, dt: float) -> tuple[Clock, ...]:
+    q, groups = len(all_channels.delay), dict[Sampling, list[int]]()
+    for j in range(q):
+        single: dict[str, Any] = {name: per_channel(getattr(all_channels, name), q)[j] for name in OF_A_SENSOR}
+        single |= {name: (single[name],) for name in ("sampling_period", "delay")}
+        rows = {name: getattr(all_channels, name) for name in fields.names(rows=True)}
+        single |= {name: v[j] for name, v in rows.items() if has_rows(v)}
+        groups.setdefault(all_channels._replace(**single), []).append(j)
     return tuple(_clock(measured, tuple(channels), dt) for measured, channels in groups.items())
 
 
@@ -84,7 +84,7 @@ def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
 
     delay, pattern = measured.delay[0], measured.sampling_pattern
     steps = tuple(ticks(v) for v in measured.delay_values)
-    share = tuple(each / sum(measured.delay_weights) for each in measured.delay_weights)
+    share = tuple(w / sum(measured.delay_weights) for w in measured.delay_weights)
     if measured.delay_gamma_mean:
         share = gamma(number(measured.delay_gamma_mean) / dt, number(measured.delay_gamma_shape))
         steps = tuple(range(len(share)))
@@ -113,8 +113,8 @@ def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
 
 def sensors(s: Scenario) -> Iterator[Scenario]:
     """Yield the scenario once for each set of equally measured channels, with single values instead of lists."""
-    each = ((name, s.value(name)) for name in fields.names(per="sensor"))
-    several = {name: value for name, value in each if isinstance(value, tuple)}
+    pairs = ((name, s.value(name)) for name in fields.names(per="sensor"))
+    several = {name: value for name, value in pairs if isinstance(value, tuple)}
     rows = ((name, s.value(name)) for name in fields.names(rows=True))
     several |= {name: value for name, value in rows if has_rows(value)}
     for values in dict.fromkeys(zip(*several.values(), strict=True)):
@@ -125,23 +125,23 @@ def sensors(s: Scenario) -> Iterator[Scenario]:
 
 def number(value: PerChannel) -> float:
     """Return the value of one channel, as selected by `sensors`."""
-    (one,) = per_channel(value, 1)
-    return one
+    (single,) = per_channel(value, 1)
+    return single
 
 
 def chain(measured: Sampling) -> tuple[float, ...]:
     """Return for each additional delay the probability that the next sample has the same."""
     if measured.delay_weights:
         return ()
-    many, stay = len(measured.delay_values), measured.delay_self_transition
-    return (stay * many if len(stay) == 1 else stay) or (1 / many if many else 0.0,) * many
+    n, stay = len(measured.delay_values), measured.delay_self_transition
+    return (stay * n if len(stay) == 1 else stay) or (1 / n if n else 0.0,) * n
 
 
 def actuator_delay(s: Scenario) -> Delay:
     """Return the delay from command to plant [s] as a function of time [s]."""
     mean = float(s.sampling.delay[0] if s.loop.actuator_delay is None else s.loop.actuator_delay)
-    swing, pace = s.sampling.delay_sine
-    return lambda t: mean + swing * np.sin(pace * t)
+    amplitude, omega = s.sampling.delay_sine
+    return lambda t: mean + amplitude * np.sin(omega * t)
 
 
 TICKS = 1_000_000
@@ -156,12 +156,12 @@ CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
 def ticks_of(horizon: float, tick: float, where: str) -> int:
     """Return a duration [s] in ticks [s]; raise UserError if it is less than two or more than TICKS."""
-    many, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
-    if many > TICKS + 0.5:
+    n_ticks, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
+    if n_ticks > TICKS + 0.5:
         raise UserError(f"{got}, expected at most {TICKS:,} ticks; use a shorter duration or a longer tick.")
-    if round(many) < 2:
+    if round(n_ticks) < 2:
         raise UserError(f"{got}, expected at least two ticks; use a longer duration or a shorter tick.")
-    return round(many)
+    return round(n_ticks)
 
 
 def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) -> None:

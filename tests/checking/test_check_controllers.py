@@ -54,7 +54,7 @@ def command(params, now, estimate, coming, kept):
 LAW = pcbench.Controller(lambda params, tick: jnp.zeros(1), lambda params, tick, estimate: jnp.zeros(1), command, start)
 
 
-def own(make=prepare, check=user_controllers.anything, **functions):
+def own(make=prepare, check=user_controllers.accept_all, **functions):
     entry = pcbench.ControllerSpec(LAW._replace(**functions), Options, make, "yours", check)
     return UserPlugin(user_controllers.entry(entry, None, "t"), Code("", "pull", (), ""))
 
@@ -127,7 +127,7 @@ def test_its_eigenvalue_is_that_of_the_loop_written_out():
     loop = np.block([[Phi - Gamma @ K, -Gamma], [np.array([[0.5 * T, 0.0]]), np.eye(1)]])
     found = controller_table.slowest(t.scenario, "t")
     assert abs(found.mode) == pytest.approx(np.abs(np.linalg.eigvals(loop)).max(), rel=1e-10)
-    assert (found.late, found.period) == (0.0, pytest.approx(0.05))
+    assert (found.delay, found.period) == (0.0, pytest.approx(0.05))
 
 
 @pytest.mark.ci

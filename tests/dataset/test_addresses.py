@@ -4,7 +4,7 @@ import pytest
 
 from pcbench import UserError
 from pcbench.dataset import executors, storage
-from pcbench.errors import shown_address
+from pcbench.errors import redact_address
 
 SHOWN = {  # by address: what is shown of it
     "results/a@b": "results/a@b",
@@ -24,7 +24,7 @@ SHOWN = {  # by address: what is shown of it
 
 @pytest.mark.parametrize("address", SHOWN)
 def test_an_address_is_shown_without_its_secrets(address):
-    assert shown_address(address) == SHOWN[address]
+    assert redact_address(address) == SHOWN[address]
 
 
 @pytest.mark.parametrize("address", ["nowhere://K:secr/et@b/a", "s3://K:secr@et@", "nowhere://b?client_secret=secret"])

@@ -16,8 +16,14 @@ AXES = {"noise_std": [0.5, 0.6]}
 
 def test_particle_and_mhe_have_programs_of_their_own():
     cells = parse.grid_of("cart/white", {"observers": ["kf", "particle", "model-only", "mhe"]}, []).cells
-    assert [p.labels for p in planning.drafts(cells, apart=True)] == [("kf", "model-only"), ("particle",), ("mhe",)]
-    assert [p.labels for p in planning.drafts(cells, (), apart=True)] == [()], "what is not computed has one draft"
+    assert [p.labels for p in planning.drafts(cells, split_expensive=True)] == [
+        ("kf", "model-only"),
+        ("particle",),
+        ("mhe",),
+    ]
+    assert [p.labels for p in planning.drafts(cells, (), split_expensive=True)] == [()], (
+        "what is not computed has one draft"
+    )
 
 
 @pytest.fixture

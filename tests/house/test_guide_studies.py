@@ -169,7 +169,7 @@ BELIEVED = re.compile(r"^\| `([a-z-]+)` \| ((?:[\d.]+ \| ){6}[\d.]+) \|$", re.M)
 def test_the_table_of_beliefs_has_what_the_study_has():
     study = parse.grid_of("model-mismatch", {}, []).study
     assert [name for name, _ in BELIEVED.findall(OBSERVERS_PAGE)] == study.observers
-    told = {name: study.tables[name].given() for name in study.scenarios}
+    told = {name: study.tables[name].as_table() for name in study.scenarios}
     late = [told[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
     assert late == pytest.approx([0.2, -0.2])
     assert told["gain-off"]["parameters"]["b"] == pytest.approx(1.1 * 355)

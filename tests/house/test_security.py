@@ -23,7 +23,7 @@ RUNS = {  # calls that run code of others, and where they may stand
     "__import__": (),
     "loads of tomllib": ("toml_text",),  # one reader for every TOML: what is nested too deeply is a sentence
     "module_of": ("study/plugins/registry", "checking/targets", "external/entry"),  # what the user names in a command
-    "_from_here": (
+    "_load_plugin": (
         "study/parse",
     ),  # the gate of a study that the user gives is handed in by name, and called nowhere else
 }

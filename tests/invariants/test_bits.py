@@ -33,7 +33,7 @@ def results(
     raw |= {"seeds": len(seeds)}  # calls are as wide as they ask for
     chosen = parse.parse(raw | {"options": {"scenario": {"random_initial_state": random_initial_state}}}, "bits")
     done = list(run_local.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
-    return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
+    return {d.plan.cell.scenario.name + str(d.plan.cell.number): d.results for d in done}
 
 
 def same(a, b, place, observers=EVERYONE):

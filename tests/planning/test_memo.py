@@ -49,9 +49,9 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
 
 
 def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
-    made, ask = counted(monkeypatch, memo, "run_design"), memo.once()
+    made, cache = counted(monkeypatch, memo, "run_design"), memo.new_cache()
     cells = cells_of(parse.parse(STUDY, "map"))
-    first, second = (list(planning.drafts(cells, ask=ask)) for _ in range(2))
+    first, second = (list(planning.drafts(cells, cache=cache)) for _ in range(2))
     assert len(made) == len(cells) * 2
     assert all(a.problem.gains["kf"] is b.problem.gains["kf"] for a, b in zip(first, second, strict=True))
 
@@ -65,15 +65,15 @@ def test_keys_tell_numbers_apart_to_the_bit():
 
 
 def test_what_refuses_is_asked_again(monkeypatch):
-    ask = memo.once()
+    cache = memo.new_cache()
 
     def refuses():
         raise UserError("no")
 
     with pytest.raises(UserError):
-        ask("kind", 1, refuses)
-    assert ask("kind", 1, lambda: 2) == 2
-    assert [ask("kind", i, lambda i=i: i) for i in range(1000)] == [2 if i == 1 else i for i in range(1000)]
+        cache("kind", 1, refuses)
+    assert cache("kind", 1, lambda: 2) == 2
+    assert [cache("kind", i, lambda i=i: i) for i in range(1000)] == [2 if i == 1 else i for i in range(1000)]
 
 
 def test_bound_of_a_scenario_is_the_same_whatever_stands_before_it():

@@ -47,6 +47,6 @@ def test_every_study_with_runs_has_its_count():
 def test_a_study_compiles_no_more_programs(name):
     with config.float64():
         study = parse.grid_of(name, {}, []).study
-        drafts = build.drafts(cells_of(study), runs=lambda cell: study.seeds, apart=True)
+        drafts = build.drafts(cells_of(study), runs=lambda cell: study.seeds, split_expensive=True)
         programs = {padding.key_of(p) for p in padding.fit(list(drafts))}
     assert len(programs) == PROGRAMS[name]

@@ -94,7 +94,7 @@ def results(case, engine):
     cells = {}
     with config.float64():
         for found in run_local.execute(study, planning.plan(study), SEEDS):
-            cells.setdefault(found.planned.cell.key, {}).update(found.results)
+            cells.setdefault(found.plan.cell.key, {}).update(found.results)
     return cells
 
 

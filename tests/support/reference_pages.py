@@ -32,7 +32,7 @@ from pcbench.statistics import RUN_METRICS
 from pcbench.study import parse
 from pcbench.study.axes import AXES, CHANNELS, COMMANDS, OUTPUTS, STATES
 from pcbench.study.controller_table import Network
-from pcbench.study.lti_plant import Differing, LtiTable
+from pcbench.study.lti_plant import LtiTable, PlantDeviations
 from pcbench.study.scenario_schema import Experiment, ScenarioTable
 from pcbench.study.scenario_template import toml_value
 from pcbench.study.schema import Choices, Study, Tune, TunedCell, TunedOptions
@@ -258,7 +258,7 @@ The axes `sampling_period`, `delay` and `noise_std` are required.
 
 You can also set any of the parameters by name.
 
-{keys(Differing)}
+{keys(PlantDeviations)}
 
 ## [controller]
 

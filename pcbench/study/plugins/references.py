@@ -33,26 +33,26 @@ class Gate(NamedTuple):
     files: bool  # whether it may name tables of inputs and recordings, which are opened
 
 
-def named_in(study: TomlTable) -> list[PluginReference]:
+def references_in(study: TomlTable) -> list[PluginReference]:
     """Return every reference to user-defined code in a study, as a dict."""
-    found: list[PluginReference] = []
+    references: list[PluginReference] = []
 
-    def seen(each: PluginReference) -> str:
-        if user_code.is_reference(each.reference):
-            found.append(each)
-        return each.reference
+    def collect(reference: PluginReference) -> str:
+        if user_code.is_reference(reference.reference):
+            references.append(reference)
+        return reference.reference
 
-    replace_references(study, seen)
-    return found
+    replace_references(study, collect)
+    return references
 
 
 def replace_references(study: TomlTable, change: Callable[[PluginReference], str]) -> TomlTable:
     """Return a study, as a dict, with every possible reference to user-defined code changed by `change`."""
     out = dict(study)
     if isinstance(use := out.get("custom_observers"), dict):
-        mine = {label: text for label, text in use.items() if isinstance(text, str)}
+        by_label = {label: text for label, text in use.items() if isinstance(text, str)}
         out["custom_observers"] = use | {
-            label: change(PluginReference("observer", label, text)) for label, text in mine.items()
+            label: change(PluginReference("observer", label, text)) for label, text in by_label.items()
         }
     if isinstance(tables := out.get("tables"), dict):
         out["tables"] = {
@@ -69,23 +69,27 @@ def _replace_in_table(table: object, keys: tuple[str, ...], change: Callable[[Pl
     """Return a table with its references changed; anything else is returned unchanged."""
     if not isinstance(table, dict):
         return table
-    mine = {key: table[key] for key in keys if isinstance(table.get(key), str)}
-    return table | {key: change(PluginReference(KINDS[key], text, text)) for key, text in mine.items()}
+    texts = {key: table[key] for key in keys if isinstance(table.get(key), str)}
+    return table | {key: change(PluginReference(KINDS[key], text, text)) for key, text in texts.items()}
 
 
-def looked_up(study: TomlTable) -> TomlTable:
+def resolve_installed(study: TomlTable) -> TomlTable:
     """Return a study, as a dict, in which plants and controllers of installed packages are named MODULE:NAME."""
 
-    def found(each: PluginReference) -> str:
-        if user_code.is_reference(each.reference) or each.kind == "observer" or each.reference in NAMES[each.kind]:
-            return each.reference
-        there = find_plugins(each.kind).get(each.reference)
-        return there.reference if there else each.reference
+    def resolve(reference: PluginReference) -> str:
+        if (
+            user_code.is_reference(reference.reference)
+            or reference.kind == "observer"
+            or reference.reference in NAMES[reference.kind]
+        ):
+            return reference.reference
+        plugin = find_plugins(reference.kind).get(reference.reference)
+        return plugin.reference if plugin else reference.reference
 
-    return replace_references(study, found)
+    return replace_references(study, resolve)
 
 
 def absolute(study: TomlTable, folder: Path | None = None) -> TomlTable:
     """Return a study, as a dict, with absolute paths; relative ones are from `folder`, by default the working folder."""
-    here = Path().resolve() if folder is None else folder
-    return replace_references(study, lambda each: user_code.resolve_reference(each.reference, here))
+    base = Path().resolve() if folder is None else folder
+    return replace_references(study, lambda r: user_code.resolve_reference(r.reference, base))

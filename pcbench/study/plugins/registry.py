@@ -40,20 +40,20 @@ class InModule(NamedTuple):
     name: str
 
 
-def _plant(found: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
-    for name, unit in found.signals + found.unknowns + found.errors + found.outputs:
+def _plant(spec: plants.PlantSpec, module: ModuleType, where: str) -> plants.PlantSpec:
+    for name, unit in spec.signals + spec.unknowns + spec.errors + spec.outputs:
         pair(name, unit, f"{where}: {name}")
-    return found
+    return spec
 
 
-def _table(found: TomlTable, module: ModuleType, where: str) -> TomlTable:
+def _table(table: TomlTable, module: ModuleType, where: str) -> TomlTable:
     """Return a scenario's table in which a plant or a controller of its module is replaced by its name."""
-    out = dict(found)
+    out = dict(table)
     for kind in ("plant", "controller"):
         value = out.get(kind)
         if kind not in out or isinstance(value, str):
             continue
-        names = [name for name, each in vars(module).items() if each is value]
+        names = [name for name, v in vars(module).items() if v is value]
         if not isinstance(value, KINDS[kind].types) or not names:
             raise UserError(
                 f"{where}.{kind}: got {describe_kind(value)}, expected {KINDS[kind].expected} from the same module, or a "
@@ -97,36 +97,36 @@ def load(kind: str, reference: str, where: str, folder: Path | None = None) -> U
     """
     code = user_code.code_of(reference, where, folder)
     module, _ = user_code.split(reference, where)
-    here = ((folder or Path()) / module).resolve().parent if code.files else None
-    return of(kind, code, where, here)
+    code_folder = ((folder or Path()) / module).resolve().parent if code.files else None
+    return of(kind, code, where, code_folder)
 
 
 def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> UserPlugin:
     """Return the plugin of some code; raise UserError if it has none, or a plant or a controller with a built-in name."""
     module = user_code.module_of(code, where, folder)
-    found, there = user_code.found_in(module, code.name, KINDS[kind].types)
-    if found is None:
-        raise unknown(f"{where} {code.module}", f"{kind} there", code.name, there)
-    if not isinstance(found, KINDS[kind].types):
-        raise UserError(f"{where}: got {describe_kind(found)}, expected {KINDS[kind].expected}; name one of those.")
-    taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
-    if code.name in taken.get(kind, ()):
+    member, names = user_code.attribute_of(module, code.name, KINDS[kind].types)
+    if member is None:
+        raise unknown(f"{where} {code.module}", f"{kind} there", code.name, names)
+    if not isinstance(member, KINDS[kind].types):
+        raise UserError(f"{where}: got {describe_kind(member)}, expected {KINDS[kind].expected}; name one of those.")
+    builtin: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
+    if code.name in builtin.get(kind, ()):
         raise UserError(
             f"{where}: got a {kind} called '{code.name}', which is pcbench's own name; give it another name."
         )
-    made = KINDS[kind].entry(found, module, where)
-    if isinstance(made, observers.ObserverSpec | controllers.ControllerSpec):
-        require_model(made.options, module, where)
-    elsewhere = not code.files and getattr(made, "elsewhere", False)
-    return UserPlugin(made, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
+    entry = KINDS[kind].entry(member, module, where)
+    if isinstance(entry, observers.ObserverSpec | controllers.ControllerSpec):
+        require_model(entry.options, module, where)
+    elsewhere = not code.files and getattr(entry, "elsewhere", False)
+    return UserPlugin(entry, code._replace(digest=ELSEWHERE if elsewhere else user_code.digest_of(code, module)))
 
 
-def describe_kind(found: object) -> str:
+def describe_kind(member: object) -> str:
     """Return a short description of an object's type."""
-    if isinstance(found, plants.PlantSpec):
+    if isinstance(member, plants.PlantSpec):
         return "a plant"
-    if isinstance(found, observers.ObserverSpec | Observer):
+    if isinstance(member, observers.ObserverSpec | Observer):
         return "an observer"
-    if isinstance(found, controllers.ControllerSpec | Controller):
+    if isinstance(member, controllers.ControllerSpec | Controller):
         return "a controller"
-    return "a function" if callable(found) and not isinstance(found, type) else f"a {type(found).__name__}"
+    return "a function" if callable(member) and not isinstance(member, type) else f"a {type(member).__name__}"

@@ -50,10 +50,10 @@ class UserPlugin(NamedTuple):
 def absent(reference: str) -> Callable[..., NoReturn]:
     """Return a placeholder for the functions of a user-defined object, used when a result is read without its code."""
 
-    def nothing(*given: object) -> NoReturn:
+    def placeholder(*args: object) -> NoReturn:
         raise UserError(f"{reference}: got no code, expected it where runs are made; run the study that names it.")
 
-    return nothing
+    return placeholder
 
 
 def is_reference(text: str) -> bool:
@@ -87,20 +87,20 @@ def code_of(text: str, where: str, folder: Path | None = None) -> Code:
         return Code(module, name, (), "")
     path = (folder or Path()) / module
     if not path.is_file():
-        near = nearest_name(path.name, (each.name for each in path.parent.glob("*.py")))
-        hint = f"did you mean '{Path(module).parent / near}'? " if near else ""
+        nearest = nearest_name(path.name, (file.name for file in path.parent.glob("*.py")))
+        hint = f"did you mean '{Path(module).parent / nearest}'? " if nearest else ""
         raise UserError(
             f"{where}: '{short(module)}' is no file; {hint}give the path of a .py file, or a module's name."
         )
-    files, waiting = dict[str, bytes](), [path]  # with the files next to it that it imports, recursively
-    while waiting:
-        each = waiting.pop(0)
-        if each.name not in files:
-            files[each.name] = each.read_bytes()
-            siblings = (path.parent / f"{name}.py" for name in _imports(files[each.name]))
-            waiting += [other for other in siblings if other.is_file()]
-    found = tuple(files.items())
-    return Code(path.name, name, found, digest(found))
+    files, queue = dict[str, bytes](), [path]  # with the files next to it that it imports, recursively
+    while queue:
+        file = queue.pop(0)
+        if file.name not in files:
+            files[file.name] = file.read_bytes()
+            siblings = (path.parent / f"{name}.py" for name in _imports(files[file.name]))
+            queue += [p for p in siblings if p.is_file()]
+    contents = tuple(files.items())
+    return Code(path.name, name, contents, digest(contents))
 
 
 def digest(files: tuple[tuple[str, bytes], ...]) -> str:
@@ -126,8 +126,8 @@ def module_of(code: Code, where: str, folder: Path | None = None) -> ModuleType:
             package, _, _ = missing.rpartition(".")  # full names of the modules next to the missing one
             folders = list(getattr(sys.modules.get(package), "__path__", [])) if package else None
             names = [f"{package}.{m.name}".lstrip(".") for m in pkgutil.iter_modules(folders)]
-            near = nearest_name(missing, names, cutoff=0.6)
-            hint = f"did you mean '{near}'? " if near else ""
+            nearest = nearest_name(missing, names, cutoff=0.6)
+            hint = f"did you mean '{nearest}'? " if nearest else ""
             raise UserError(
                 f"{where}: there is no module '{short(missing)}' here; {hint}Give a module's name or the path of a .py file."
             ) from None
@@ -174,7 +174,7 @@ def _execute(code: Code, folder: Path | None) -> ModuleType:
     module.__file__ = str(place / code.module)
     sys.modules[name] = module
     try:
-        with _with_siblings_found(code, place, folder):
+        with _importable_siblings(code, place, folder):
             exec(compile(code.files[0][1], module.__file__, "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
@@ -183,7 +183,7 @@ def _execute(code: Code, folder: Path | None) -> ModuleType:
 
 
 @contextmanager
-def _with_siblings_found(code: Code, place: Path, folder: Path | None) -> Iterator[None]:
+def _importable_siblings(code: Code, place: Path, folder: Path | None) -> Iterator[None]:
     """Make the files next to a module importable while it runs, and restore modules with these names afterwards.
 
     `sys.path` is not changed. Modules found neither next to it nor elsewhere are looked up in `folder`, if given. `place` is
@@ -196,10 +196,8 @@ def _with_siblings_found(code: Code, place: Path, folder: Path | None) -> Iterat
     try:
         yield
     finally:
-        sys.meta_path[:] = [each for each in sys.meta_path if each is not first and each is not last]
-        sys.modules.update(
-            {stem: each for stem, each in hosts.items() if each.__name__ == stem}
-        )  # the others are siblings
+        sys.meta_path[:] = [finder for finder in sys.meta_path if finder is not first and finder is not last]
+        sys.modules.update({stem: m for stem, m in hosts.items() if m.__name__ == stem})  # the others are siblings
 
 
 class Siblings(MetaPathFinder, Loader):
@@ -243,8 +241,8 @@ def _import_module(name: str) -> ModuleType:
         sys.meta_path.remove(finder)
 
 
-def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[object, list[str]]:
+def attribute_of(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[object, list[str]]:
     """Return an attribute of a module (None: missing), and the names of its attributes of a kind, or else all public ones."""
-    there = [n for n, v in vars(module).items() if isinstance(v, kind) and not n.startswith("__")]
+    names = [n for n, v in vars(module).items() if isinstance(v, kind) and not n.startswith("__")]
     public = [n for n in vars(module) if not n.startswith("_")]
-    return getattr(module, name, None), there or public
+    return getattr(module, name, None), names or public

@@ -32,13 +32,13 @@ from pcbench.synthesis.lqr import Law
 _LOG = logging.getLogger(__name__)
 
 
-def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) -> ControllerSpec:
+def entry(controller: Controller | ControllerSpec, module: ModuleType, where: str) -> ControllerSpec:
     """Return the entry of a module's object: itself, or a controller with the module's functions."""
-    if isinstance(found, ControllerSpec):
-        law, linear = found.controller, found.linear
+    if isinstance(controller, ControllerSpec):
+        law, linear = controller.controller, controller.linear
         if linear is None and isinstance(law, Controller):
-            linear = partial(linearize_law, law, found.prepare)
-        return found._replace(check=found.check or anything, linear=linear)
+            linear = partial(linearize_law, law, controller.prepare)
+        return controller._replace(check=controller.check or accept_all, linear=linear)
     prepare = getattr(module, "prepare", None)
     if not callable(prepare):
         raise UserError(
@@ -46,16 +46,16 @@ def entry(found: Controller | ControllerSpec, module: ModuleType, where: str) ->
             "returns the law's numbers; write it in the controller's file, or name a ControllerSpec that has it."
         )
     return ControllerSpec(
-        controller=found,
+        controller=controller,
         options=getattr(module, "Options", NoOptions),
         prepare=prepare,
         summary="yours",
-        check=getattr(module, "check", anything),
-        linear=getattr(module, "linear", partial(linearize_law, found, prepare)),
+        check=getattr(module, "check", accept_all),
+        linear=getattr(module, "linear", partial(linearize_law, controller, prepare)),
     )
 
 
-def anything(options: BaseModel, sizes: Sizes) -> None:
+def accept_all(options: BaseModel, sizes: Sizes) -> None:
     """Accept all options."""
 
 
@@ -78,30 +78,30 @@ def linearize_law(
 
 
 def _slopes(law: Controller, params: Params, context: ControllerContext, requests: list[Array]) -> Law:
-    """Return the slopes of a law by its memory and by the state; requests for future inputs are recorded in `asked`."""
+    """Return the slopes of a law by its memory and by the state; requests for future inputs are recorded in `requests`."""
     n, m = context.model.B.shape
     aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
-    rest = jnp.zeros(n).at[: len(aim)].set(aim)
-    kept, back = ravel_pytree(law.start(params, rest) if law.start else ())
+    x_ref = jnp.zeros(n).at[: len(aim)].set(aim)
+    memory, back = ravel_pytree(law.start(params, x_ref) if law.start else ())
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(context.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
 
-    def coming(ahead: Array) -> Array:
-        requests.append(ahead)
+    def future_input(ticks_ahead: Array) -> Array:
+        requests.append(ticks_ahead)
         return jnp.zeros(m)
 
     def tick(s: Array, x: Array) -> tuple[Array, Array]:
         decide: Callable[..., PyTree] = law.command
         if law.start is None:
-            return s, decide(params, now, x, coming)
-        u, after = decide(params, now, x, coming, back(s))
+            return s, decide(params, now, x, future_input)
+        u, after = decide(params, now, x, future_input, back(s))
         return ravel_pytree(after)[0], u
 
-    (A, B), (C, D) = jax.jacfwd(tick, (0, 1))(kept.astype(float), rest)
-    return Law(*(np.asarray(each, float) for each in (A, B, C, D)))
+    (A, B), (C, D) = jax.jacfwd(tick, (0, 1))(memory.astype(float), x_ref)
+    return Law(*(np.asarray(M, float) for M in (A, B, C, D)))
 
 
 def absent(reference: str, code: Code) -> UserPlugin:
     """Return a placeholder for a controller, used when a result is read without its code."""
-    nothing = user_code.absent(reference)
+    placeholder = user_code.absent(reference)
     model = create_model("Options", __config__=ConfigDict(extra="allow"))
-    return UserPlugin(ControllerSpec(nothing, model, nothing, ABSENT, anything), code)
+    return UserPlugin(ControllerSpec(placeholder, model, placeholder, ABSENT, accept_all), code)

@@ -27,30 +27,32 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def entry(found: Observer | ObserverSpec, module: ModuleType, where: str) -> ObserverSpec:
+def entry(observer: Observer | ObserverSpec, module: ModuleType, where: str) -> ObserverSpec:
     """Return the entry of a module's object: itself, or an observer with the module's `design` and `Options`."""
-    if isinstance(found, ObserverSpec):
-        return found
-    listed = [each for each in OBSERVERS.values() if each.observer is found]
-    if listed:
-        return listed[0]
+    if isinstance(observer, ObserverSpec):
+        return observer
+    builtin = [spec for spec in OBSERVERS.values() if spec.observer is observer]
+    if builtin:
+        return builtin[0]
     design, options = getattr(module, "design", None), getattr(module, "Options", NoOptions)
     if not callable(design):
         raise UserError(
             f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it "
             "in the observer's file, or name an ObserverSpec that has it."
         )
-    return ObserverSpec(found, options, design, knows_schedule=True, summary="yours", expensive=True)
+    return ObserverSpec(observer, options, design, knows_schedule=True, summary="yours", expensive=True)
 
 
 def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
     """Return a placeholder for an observer with its options, used when a result is read without its code."""
-    nothing = user_code.absent(reference)
-    kept: TomlTable = {name: (object, value) for name, value in options.items()}
+    placeholder = user_code.absent(reference)
+    fields: TomlTable = {name: (object, value) for name, value in options.items()}
     stand_in = ObserverSpec(
-        observer=Observer(init=nothing, snapshot=nothing, jump=nothing, flow=nothing, estimate=nothing),
-        options=create_model("Options", __config__=ConfigDict(extra="allow"), **kept),
-        design=nothing,
+        observer=Observer(
+            init=placeholder, snapshot=placeholder, jump=placeholder, flow=placeholder, estimate=placeholder
+        ),
+        options=create_model("Options", __config__=ConfigDict(extra="allow"), **fields),
+        design=placeholder,
         knows_schedule=False,
         summary=ABSENT,
         takes="any schedule",
@@ -59,9 +61,9 @@ def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
     return UserPlugin(stand_in, code)
 
 
-def is_absent(mine: UserPlugin) -> bool:
+def is_absent(plugin: UserPlugin) -> bool:
     """Return whether the plugin is a placeholder without code."""
-    return bool(mine.entry.summary == ABSENT)
+    return bool(plugin.entry.summary == ABSENT)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -84,10 +86,10 @@ def require_model(options: object, module: ModuleType, where: str) -> None:
     )
 
 
-def validate_options(model: type[Model], given: TomlTable, where: str) -> Model:
+def validate_options(model: type[Model], table: TomlTable, where: str) -> Model:
     """Return the options of a table, validated and with defaults; raise UserError for invalid ones."""
     try:
-        return model.model_validate(given)
+        return model.model_validate(table)
     except ValidationError as error:
         raise sentence(where, error, {"": model.model_fields}) from None
     except Exception as error:  # exception in a validator

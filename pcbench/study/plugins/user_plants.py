@@ -42,57 +42,59 @@ LINEAR = ("A", "B", "C", "D", "E")
 def facts(entry: PlantSpec) -> TomlTable:
     """Return the facts of a plant that a dataset stores, as TOML values."""
     linear = entry.nominal(entry.numbers)
-    said = {name: np.asarray(getattr(linear, name)).tolist() for name in LINEAR if getattr(linear, name) is not None}
-    rest = {} if entry.residual is None else {"residual": np.asarray(entry.residual(entry.numbers)).tolist()}
+    matrices = {
+        name: np.asarray(getattr(linear, name)).tolist() for name in LINEAR if getattr(linear, name) is not None
+    }
+    residual = {} if entry.residual is None else {"residual": np.asarray(entry.residual(entry.numbers)).tolist()}
     return {
         "summary": entry.summary,
-        "signals": [list(each) for each in entry.signals],
-        "unknowns": [list(each) for each in entry.unknowns],
+        "signals": [list(p) for p in entry.signals],
+        "unknowns": [list(p) for p in entry.unknowns],
         "numbers": {name: plain(value) for name, value in entry.numbers._asdict().items()},
-        **({"errors": [list(each) for each in entry.errors]} if entry.errors else {}),
-        **({"outputs": [list(each) for each in entry.outputs]} if entry.outputs else {}),
+        **({"errors": [list(p) for p in entry.errors]} if entry.errors else {}),
+        **({"outputs": [list(p) for p in entry.outputs]} if entry.outputs else {}),
         "positive": list(entry.positive),
         "drifts": entry.drifts,
         "discrete": linear.discrete,
         "field": entry.plant.field is not None,
         "functions": [name for name in FUNCTIONS if getattr(entry, name) is not None],
-        "linear": said,
-        **rest,
+        "linear": matrices,
+        **residual,
     }
 
 
-def absent(reference: str, code: Code, known: TomlTable) -> UserPlugin:
+def absent(reference: str, code: Code, facts: TomlTable) -> UserPlugin:
     """Return a placeholder for a plant of which only the facts are known."""
-    nothing = user_code.absent(reference)
-    linear = {name: np.array(value, float) for name, value in known["linear"].items()}
-    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), known["discrete"], linear.get("E"))
-    rest = np.array(known["residual"]) if "residual" in known else None
-    numbers = namedtuple("Numbers", known["numbers"])(**{k: tuples(v) for k, v in known["numbers"].items()})  # type: ignore[misc]
-    functions = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
-    there = PlantSpec(
+    placeholder = user_code.absent(reference)
+    linear = {name: np.array(value, float) for name, value in facts["linear"].items()}
+    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), facts["discrete"], linear.get("E"))
+    residual = np.array(facts["residual"]) if "residual" in facts else None
+    numbers = namedtuple("Numbers", facts["numbers"])(**{k: tuples(v) for k, v in facts["numbers"].items()})  # type: ignore[misc]
+    functions = {name: placeholder if name in facts["functions"] else None for name in FUNCTIONS}
+    spec = PlantSpec(
         plant=Plant(
-            step=nothing,
-            output=nothing,
-            field=nothing if known["field"] else None,
-            errors=nothing if "errors" in known else None,
-            scored=len(known.get("errors", ())),
+            step=placeholder,
+            output=placeholder,
+            field=placeholder if facts["field"] else None,
+            errors=placeholder if "errors" in facts else None,
+            scored=len(facts.get("errors", ())),
         ),
-        signals=tuple(pair(name, unit, reference) for name, unit in known["signals"]),
+        signals=tuple(pair(name, unit, reference) for name, unit in facts["signals"]),
         numbers=numbers,
         nominal=lambda numbers: model,
-        prepare=nothing,
+        prepare=placeholder,
         summary=ABSENT,
-        unknowns=tuple(pair(name, unit, reference) for name, unit in known["unknowns"]),
-        errors=tuple(pair(name, unit, reference) for name, unit in known.get("errors", ())),
-        outputs=tuple(pair(name, unit, reference) for name, unit in known.get("outputs", ())),
+        unknowns=tuple(pair(name, unit, reference) for name, unit in facts["unknowns"]),
+        errors=tuple(pair(name, unit, reference) for name, unit in facts.get("errors", ())),
+        outputs=tuple(pair(name, unit, reference) for name, unit in facts.get("outputs", ())),
         model=functions["model"],
         successor=functions["successor"],
         sensor=functions["sensor"],
-        positive=tuple(known["positive"]),
-        drifts=known["drifts"],
-        residual=None if rest is None else lambda numbers: rest,
+        positive=tuple(facts["positive"]),
+        drifts=facts["drifts"],
+        residual=None if residual is None else lambda numbers: residual,
     )
-    return UserPlugin(there, code)
+    return UserPlugin(spec, code)
 
 
 def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gate) -> TomlTable:
@@ -100,39 +102,39 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
 
     `gate` controls access to code and files.
     """
-    given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
+    entries, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
     names: list[object] = []
-    if not isinstance(given, dict | list):  # the schema reports the error
-        given = []
-    if len(given) > times.SCENARIOS:
+    if not isinstance(entries, dict | list):  # the schema reports the error
+        entries = []
+    if len(entries) > times.SCENARIOS:
         raise UserError(
-            f"{where}: got {len(given):,} scenarios, expected at most {times.SCENARIOS:,}; divide the study."
+            f"{where}: got {len(entries):,} scenarios, expected at most {times.SCENARIOS:,}; divide the study."
         )
-    for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
-        here = f"{where}: scenarios.{short(str(name))}"
+    for name, table in entries.items() if isinstance(entries, dict) else [(n, {}) for n in entries]:
+        place = f"{where}: scenarios.{short(str(name))}"
         if isinstance(name, str) and name in tables and not table:  # already read
             names.append(name)
             continue
         if not isinstance(table, dict):
-            raise UserError(f"{here}: got {brief_repr(table)}, expected a table; write [scenarios.{name}].")
+            raise UserError(f"{place}: got {brief_repr(table)}, expected a table; write [scenarios.{name}].")
         if isinstance(name, str):
             if isinstance(use := table.get("use"), str):
                 table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
-            if _names_one(name):
+            if _is_user_scenario(name):
                 table, name = {"base": name} | table, name.rpartition(":")[2]
-            if _names_one(table.get("base")):
-                table = _apply_base(table, here, folder, gate)
+            if _is_user_scenario(table.get("base")):
+                table = _apply_base(table, place, folder, gate)
             if table and name in tables:
-                raise UserError(f"{here}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
+                raise UserError(f"{place}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
             tables |= {name: table} if table else {}  # a published scenario has no table
         names.append(name)
     scenario = raw.get("scenario")
-    if isinstance(scenario, dict) and _names_one(scenario.get("base")):
+    if isinstance(scenario, dict) and _is_user_scenario(scenario.get("base")):
         raw = raw | {"scenario": _apply_base(scenario, f"{where}: scenario", folder, gate)}
-    return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
+    return raw | ({"scenarios": names} if entries else {}) | ({"tables": tables} if tables else {})
 
 
-def _names_one(text: object) -> bool:
+def _is_user_scenario(text: object) -> bool:
     """Return whether a text names a user-defined scenario."""
     if not isinstance(text, str) or text in SCENARIOS:
         return False
@@ -144,25 +146,25 @@ def _apply_base(table: TomlTable, where: str, folder: Path | None, gate: Gate) -
 
     References of the base, to its module or to files next to it, are made valid from here.
     """
-    found = registry.find_plugins(SCENARIO).get(table["base"])
-    reference = found.reference if found else table["base"]
+    plugin = registry.find_plugins(SCENARIO).get(table["base"])
+    reference = plugin.reference if plugin else table["base"]
     user_code.split(reference, where)
     reference = reference if folder is None else user_code.resolve_reference(reference, folder)
     module, _ = user_code.split(reference, where)
-    here = Path(module).parent if user_code.is_file(module) else None
-    below = dict(gate.code(PluginReference(SCENARIO, reference, reference), where).entry)
-    below.pop("name", None)
+    base_folder = Path(module).parent if user_code.is_file(module) else None
+    base = dict(gate.code(PluginReference(SCENARIO, reference, reference), where).entry)
+    base.pop("name", None)
     for key in ("plant", "controller"):
-        value = below.get(key)
+        value = base.get(key)
         if isinstance(value, registry.InModule):
-            below[key] = f"{module}:{value.name}"
-        elif isinstance(value, str) and here is not None:
-            below[key] = user_code.resolve_reference(value, here)
-    if isinstance(below.get("observers"), list | tuple) and here is not None:
-        below["observers"] = [
-            user_code.resolve_reference(o, here) if isinstance(o, str) else o for o in below["observers"]
+            base[key] = f"{module}:{value.name}"
+        elif isinstance(value, str) and base_folder is not None:
+            base[key] = user_code.resolve_reference(value, base_folder)
+    if isinstance(base.get("observers"), list | tuple) and base_folder is not None:
+        base["observers"] = [
+            user_code.resolve_reference(o, base_folder) if isinstance(o, str) else o for o in base["observers"]
         ]
-    return {k: plain(v) for k, v in below.items()} | {k: v for k, v in table.items() if k != "base"}
+    return {k: plain(v) for k, v in base.items()} | {k: v for k, v in table.items() if k != "base"}
 
 
 def plain(value: object) -> Any:
@@ -170,5 +172,5 @@ def plain(value: object) -> Any:
     if hasattr(value, "tolist"):  # NumPy, JAX, pandas
         return plain(value.tolist())
     if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
-    return [plain(each) for each in value] if isinstance(value, tuple | list | range) else value
+        return {key: plain(v) for key, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, tuple | list | range) else value
