@@ -154,7 +154,7 @@ def filled(grid: Grid, execute: executors.Executor) -> Turn:
         target = storage.target(out)
         owned = manifest.claim(target, grid)
         cost = run_missing.run_blocks(
-            target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(LANES), planned
+            target, owned, [], execute, run_missing.required_seeds(owned, []), run_missing.Sizes(LANES), planned
         )
         took = perf_counter() - began[0], of_workers() - began[1]
         if (busy := len({name for name, _ in cost.compiled})) != 2:

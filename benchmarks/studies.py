@@ -103,7 +103,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
         owned = manifest.claim(target, parse.grid_of(study, {}, []))
         planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
         cost = run_missing.run_blocks(
-            target, owned, [], execute, run_missing.everything(owned, []), run_missing.Sizes(block), planned
+            target, owned, [], execute, run_missing.required_seeds(owned, []), run_missing.Sizes(block), planned
         )
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
         if cost.runs != asked:

@@ -55,15 +55,15 @@ def parse(text: str | None, most: int | None) -> Precision | None:
     return Precision(metric, signal or None, value, most)
 
 
-def check(goal: Precision | None, owned: StudyClaim) -> None:
+def check(goal: Precision | None, claim: StudyClaim) -> None:
     """Raise UserError if no scenario has the signal of the goal."""
-    names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
+    names = {name for c in claim.cells for name, _ in signals_of(c.scenario)}
     if goal is not None and goal.signal is not None and goal.signal not in names:
         raise unknown("--until-se", "signal", goal.signal, names)
 
 
 def rounds(
-    goal: Precision | None, target: storage.Target, owned: StudyClaim, say: Callable[[str], None]
+    goal: Precision | None, target: storage.Target, claim: StudyClaim, say: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
     """Yield the next number of seeds of each cell, until all reach the goal or the budget is spent.
 
@@ -72,24 +72,24 @@ def rounds(
     """
     if goal is None:
         return
-    first, seeds, short = owned.study.first_seed, owned.study.seeds, 0
-    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in owned.cells}
-    pending = list(owned.cells)
+    first, seeds, n_short = claim.study.first_seed, claim.study.seeds, 0
+    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claim.cells}
+    pending = list(claim.cells)
     while pending:
         blocks = block_files.series(block_files.drop_overlaps(block_files.present(target)))
         for cell in list(pending):
-            has = size[cell.key]
+            n = size[cell.key]
             c = aggregate.of_cell(target, cell, blocks)
-            error = _error(goal, c, owned.study.name, Seeds(0, first + has))
-            size[cell.key] = max(has, min(enough(has, error, goal.value), most))
-            if size[cell.key] == has:
+            error = _error(goal, c, claim.study.name, Seeds(0, first + n))
+            size[cell.key] = max(n, min(enough(n, error, goal.value), most))
+            if size[cell.key] == n:
                 pending.remove(cell)
-                short += error > goal.value
+                n_short += error > goal.value
         if pending:
             yield lambda cell: seed_range(first, size[cell.key])
-    if short:
+    if n_short:
         say(
-            f"--until-se: {short} of {len(owned.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+            f"--until-se: {n_short} of {len(claim.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
         )
 
 
@@ -113,8 +113,8 @@ def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) 
     return max(errors, default=0.0)
 
 
-def enough(has: int, error: float, goal: float) -> int:
+def enough(n: int, error: float, goal: float) -> int:
     """Return the seeds that a standard error from `has` seeds needs to reach its goal; it decreases with their root."""
     if error <= goal:
-        return has
-    return ceil(has * min(MARGIN * (error / goal) ** 2, GROWTH))
+        return n
+    return ceil(n * min(MARGIN * (error / goal) ** 2, GROWTH))

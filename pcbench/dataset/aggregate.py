@@ -38,14 +38,15 @@ class CellBlocks(NamedTuple):
     def sizes(self) -> tuple[float, ...]:
         """Return the typical sizes of the signals; for user-defined errors their settling bands."""
         belief, band = self.cell.scenario.belief, self.cell.scenario.scoring.settle_band
-        return (found := belief.prior_std + belief.unknown_std) + band[len(found) :]
+        std = belief.prior_std + belief.unknown_std
+        return std + band[len(std) :]
 
 
 def of_cell(target: storage.Target, cell: Cell, blocks: Series) -> CellBlocks:
     """Return the blocks of a cell."""
-    mine = {name: blocks[*cell.key, name] for name in cell.options if blocks.get((*cell.key, name))}
-    about = {name: block_files.about_block(target, each[0]) for name, each in mine.items()}
-    return CellBlocks(target, cell, mine, about)
+    by_observer = {name: blocks[*cell.key, name] for name in cell.options if blocks.get((*cell.key, name))}
+    about = {name: block_files.about_block(target, series[0]) for name, series in by_observer.items()}
+    return CellBlocks(target, cell, by_observer, about)
 
 
 def rows_of(study: str, c: CellBlocks, within: Seeds | None = None) -> tuple[pa.Table, pa.Table]:
@@ -57,27 +58,27 @@ def rows_of_cells(study: str, cells: list[CellBlocks], runs: list[Chunk]) -> tup
     """Return the rows of several cells of one `kind` with one chunk each: the same bits as cell by cell, but faster."""
     bounds: dict[str, statistics.Values | None] = {}
     for o in cells[0].blocks:
-        every = np.full((len(cells), len(cells[0].sizes)), np.nan)
-        for row, bound in zip(every, (c.bounds[o] for c in cells), strict=True):
+        cell_bounds = np.full((len(cells), len(cells[0].sizes)), np.nan)
+        for row, bound in zip(cell_bounds, (c.bounds[o] for c in cells), strict=True):
             if bound is not None:
                 row[: len(bound)] = bound
-        bounds[o] = every
+        bounds[o] = cell_bounds
     return _tables(study, cells, *statistics.summary_of_cells(runs, bounds, cells[0].sizes))
 
 
 def _tables(
     study: str,
     cells: list[CellBlocks],
-    described: dict[str, statistics.ObserverSummary],
-    compared: dict[statistics.Pair, statistics.PairResult],
+    summaries: dict[str, statistics.ObserverSummary],
+    comparisons: dict[statistics.Pair, statistics.PairResult],
 ) -> tuple[pa.Table, pa.Table]:
     cell = cells[0].cell
     about = {"plant": cell.scenario.plant, "method": "runs", "reason": None, "p_holm": np.nan}
     heads = [columns.keys(study, c.cell) | about for c in cells]
     facts = [{o: _facts(about) for o, about in c.about.items()} for c in cells]
     signals = signals_of(cell.scenario)
-    stats = table_builder.stats_table(heads, facts, signals, described)
-    return stats, table_builder.pairs_table(heads, facts, signals, compared)
+    stats = table_builder.stats_table(heads, facts, signals, summaries)
+    return stats, table_builder.pairs_table(heads, facts, signals, comparisons)
 
 
 def _facts(about: storage.Json) -> dict[str, bool | None]:
@@ -111,13 +112,13 @@ def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistic
 def chunks(c: CellBlocks, within: Seeds | None = None) -> Iterator[Chunk]:
     """Yield the runs of a cell by observer, in chunks of seeds."""
     readers = {name: _by_chunk(c, blocks, within) for name, blocks in c.blocks.items()}
-    while each := {name: results for name, reader in readers.items() if (results := next(reader, None)) is not None}:
-        many = {name: len(each[name]["diverged"]) if name in each else 0 for name in readers}
-        if len(set(many.values())) > 1:
+    while chunk := {name: results for name, reader in readers.items() if (results := next(reader, None)) is not None}:
+        counts = {name: len(chunk[name]["diverged"]) if name in chunk else 0 for name in readers}
+        if len(set(counts.values())) > 1:
             raise UserError(
-                f"{c.target.name}: observers of a cell have different seeds ({many}), expected the same; run the study again."
+                f"{c.target.name}: observers of a cell have different seeds ({counts}), expected the same; run the study again."
             )
-        yield each
+        yield chunk
 
 
 def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Iterator[statistics.Results]:
@@ -152,5 +153,5 @@ def results_of(table: pa.Table) -> statistics.Results:
     def square(name: str) -> NDArray[np.generic]:
         return table[name].to_numpy().reshape(about["last"] - about["first"], -1).T
 
-    out = {m: square(m)[:many] for m, many in about["metrics"].items()}
+    out = {m: square(m)[:n] for m, n in about["metrics"].items()}
     return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}

@@ -122,16 +122,16 @@ def damage(target: storage.Target, block: Block, cell: str) -> str | None:
     table = _table(target, block)
     if isinstance(table, str):
         return table
-    said = about(table)
+    metadata = about(table)
     if not columns.has_schema(parquet_io.metadata(table)):
         return OTHER_SCHEMA
-    if said.get("cell") != cell:
+    if metadata.get("cell") != cell:
         return "it is of another cell"
-    if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, *block.seeds):
+    if (metadata.get("observer"), metadata.get("first"), metadata.get("last")) != (block.observer, *block.seeds):
         return "it is another block than its name says"
-    if len(table) != said.get("rows") or len(table) % block.seeds.many:
-        return f"it has {len(table)} rows, expected {said.get('rows')}"
-    if digest(table, said) != said.get("digest"):
+    if len(table) != metadata.get("rows") or len(table) % block.seeds.many:
+        return f"it has {len(table)} rows, expected {metadata.get('rows')}"
+    if digest(table, metadata) != metadata.get("digest"):
         return "its rows are not those that were written"
     return None
 
@@ -147,9 +147,9 @@ def series(blocks: Iterable[Block]) -> Series:
 def drop_overlaps(blocks: Iterable[Block]) -> list[Block]:
     """Return all blocks except those that would duplicate a row, sorted."""
     out: list[Block] = []
-    for mine in series(sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop))).values():
+    for group in series(sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop))).values():
         stop = -1
-        for block in mine:
+        for block in group:
             if block.seeds.first >= stop:
                 out.append(block)
                 stop = block.seeds.stop

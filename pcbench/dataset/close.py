@@ -41,19 +41,19 @@ class ClosingTables(NamedTuple):
     certificates: ByObserver  # the weakest, by scenario and observer
 
 
-def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
+def close(target: storage.Target, claim: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
     """Write stats.parquet, pairs.parquet, and provenance.json with the facts `about` the run."""
     storage.put(target, "stats.parquet", tables.stats)
     storage.put(target, "pairs.parquet", tables.pairs)
     study = {
         "schema": columns.SCHEMA,
-        "study": owned.study.name,
-        "study_sha256": digest(owned.study, owned.cells),
-        "root_seed": owned.study.root_seed,
-        "engines": sorted({cell.engine for cell in owned.cells}),
+        "study": claim.study.name,
+        "study_sha256": digest(claim.study, claim.cells),
+        "root_seed": claim.study.root_seed,
+        "engines": sorted({cell.engine for cell in claim.cells}),
         "blocks": tables.blocks,
-        **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
-        **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),
+        **({"excluded": claim.study.excluded} if claim.study.excluded else {}),
+        **({"tuned": claim.study.tuned.model_dump()} if claim.study.tuned else {}),
     }
     digests = {"stats.parquet": digest_of(tables.stats), "pairs.parquet": digest_of(tables.pairs)}
     derived = {"certificates": tables.certificates, "digests": digests}
@@ -61,43 +61,43 @@ def close(target: storage.Target, owned: StudyClaim, tables: ClosingTables, abou
     storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
 
-def closing_tables(target: storage.Target, owned: StudyClaim, there: list[Block]) -> ClosingTables:
+def closing_tables(target: storage.Target, claim: StudyClaim, blocks: list[Block]) -> ClosingTables:
     """Return the tables of all cells in the order of the study, whose parts end at places that only the study decides."""
-    mark = {FROM: made_from(target, there)}
+    mark = {FROM: made_from(target, blocks)}
     stats, pairs = GrowingTable(mark), GrowingTable(mark)
-    exact, blocks = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(there))
+    exact, by_cell = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(blocks))
     weakest: ByObserver = {}
-    for first in range(0, len(owned.cells), TOGETHER):
-        cells = [aggregate.of_cell(target, cell, blocks) for cell in owned.cells[first : first + TOGETHER]]
+    for first in range(0, len(claim.cells), TOGETHER):
+        cells = [aggregate.of_cell(target, cell, by_cell) for cell in claim.cells[first : first + TOGETHER]]
         for c in cells:
             for name, about in c.about.items():
-                proof: storage.Json = about["certificate"]
-                proofs = weakest.setdefault(c.cell.scenario.name, {})
-                proofs[name] = min(proofs.get(name, proof), proof, key=_strength)
-        for some_stats, some_pairs in _rows(owned.study.name, cells, exact):
+                certificate: storage.Json = about["certificate"]
+                certificates = weakest.setdefault(c.cell.scenario.name, {})
+                certificates[name] = min(certificates.get(name, certificate), certificate, key=_strength)
+        for some_stats, some_pairs in _rows(claim.study.name, cells, exact):
             stats.add(some_stats)
             pairs.add(some_pairs)
-    return ClosingTables(len(there), stats.content(), adjust_pairs(pairs.content(), mark), weakest)
+    return ClosingTables(len(blocks), stats.content(), adjust_pairs(pairs.content(), mark), weakest)
 
 
 def _rows(
     study: str, cells: list[aggregate.CellBlocks], exact: dict[Key, pa.Table]
 ) -> Iterator[tuple[pa.Table, pa.Table]]:
     """Yield the rows of stats and pairs of some cells; consecutive cells of one kind are computed together."""
-    each = []
+    entries = []
     for c in cells:
         runs = aggregate.only_chunk(c) if c.blocks and c.cell.key not in exact else None
         if c.blocks or c.cell.key in exact:
-            each.append(((runs and aggregate.kind(c, runs)) if c.blocks else EXACT, c, runs))
-    for kind, group in groupby(each, key=itemgetter(0)):
-        _, alike, runs_of_cells = zip(*group, strict=True)
+            entries.append(((runs and aggregate.kind(c, runs)) if c.blocks else EXACT, c, runs))
+    for kind, group in groupby(entries, key=itemgetter(0)):
+        _, members, runs_of_cells = zip(*group, strict=True)
         if kind is None:
-            yield from (_with_exact(study, c, exact.get(c.cell.key)) for c in alike)
+            yield from (_with_exact(study, c, exact.get(c.cell.key)) for c in members)
         elif kind == EXACT:
-            rows = pa.concat_tables([exact[c.cell.key] for c in alike])
+            rows = pa.concat_tables([exact[c.cell.key] for c in members])
             yield rows, moments_tables.pairs(rows)
         else:
-            yield aggregate.rows_of_cells(study, list(alike), list(runs_of_cells))
+            yield aggregate.rows_of_cells(study, list(members), list(runs_of_cells))
 
 
 def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> tuple[pa.Table, pa.Table]:
@@ -105,9 +105,9 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
     stats, pairs = aggregate.rows_of(study, c)
     if exact is None:
         return stats, pairs
-    each = zip(*(exact[name].to_pylist() for name in ("observer", "metric", "reason")), strict=True)
-    why = {observer: reason for observer, metric, reason in each if metric == "mse"}
-    stats = parquet_io.with_column(stats, "reason", [why.get(name) for name in stats["observer"].to_pylist()])
+    keys = zip(*(exact[name].to_pylist() for name in ("observer", "metric", "reason")), strict=True)
+    reasons = {observer: reason for observer, metric, reason in keys if metric == "mse"}
+    stats = parquet_io.with_column(stats, "reason", [reasons.get(name) for name in stats["observer"].to_pylist()])
     without = pa.array([name not in c.blocks for name in exact["observer"].to_pylist()])
     rows = pa.concat_tables([exact.filter(without), stats])
     place = {name: i for i, name in enumerate(c.cell.options)}
@@ -117,8 +117,8 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
 
 def record(target: storage.Target) -> storage.Json | None:
     """Return the content of provenance.json; None if it is missing or changed."""
-    said = storage.document(target, PROVENANCE)
-    return said if said and said.get("digest") == _digest(said) else None
+    document = storage.document(target, PROVENANCE)
+    return document if document and document.get("digest") == _digest(document) else None
 
 
 def _digest(record: storage.Json) -> str:
@@ -159,37 +159,39 @@ def _strength(certificate: storage.Json) -> float:
     return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin
 
 
-def made_from(target: storage.Target, there: list[Block]) -> bytes:
+def made_from(target: storage.Target, blocks: list[Block]) -> bytes:
     """Return a digest of the inputs of closing tables: the runs, however they are cut into blocks, and exact rows."""
     ranges = {
-        key: merge_ranges(b.seeds for b in mine)
-        for key, mine in block_files.series(block_files.drop_overlaps(there)).items()
+        key: merge_ranges(b.seeds for b in group)
+        for key, group in block_files.series(block_files.drop_overlaps(blocks)).items()
     }
-    text = repr([(s, observer, cell, *seeds) for (s, cell, observer), each in ranges.items() for seeds in each])
+    text = repr([(s, observer, cell, *seeds) for (s, cell, observer), group in ranges.items() for seeds in group])
     runs, exact = hashlib.sha256(text.encode()).hexdigest().encode(), storage.get(target, moments_tables.NAME)
     return runs if exact is None else runs + digest_of(exact).encode()
 
 
 def damaged_files(target: storage.Target) -> list[str]:
     """Return the closing files that differ from what was written."""
-    said = record(target)
-    if said is None:
+    document = record(target)
+    if document is None:
         return [PROVENANCE] if storage.get(target, PROVENANCE) is not None else []
-    return [name for name in said["digests"] if storage.get(target, name) is not None and table(target, name) is None]
+    return [
+        name for name in document["digests"] if storage.get(target, name) is not None and table(target, name) is None
+    ]
 
 
-def is_closed(target: storage.Target, there: list[Block]) -> bool:
+def is_closed(target: storage.Target, blocks: list[Block]) -> bool:
     """Return whether the closing tables exist and belong to these blocks."""
-    mark = made_from(target, there)
-    every = [table(target, name) for name in ("stats.parquet", "pairs.parquet")]
-    about = [{} if each is None else parquet_io.metadata(each) for each in every]
-    return all(each.get(FROM) == mark and columns.has_schema(each) for each in about)
+    mark = made_from(target, blocks)
+    tables = [table(target, name) for name in ("stats.parquet", "pairs.parquet")]
+    metadata = [{} if t is None else parquet_io.metadata(t) for t in tables]
+    return all(t.get(FROM) == mark and columns.has_schema(t) for t in metadata)
 
 
 def table(target: storage.Target, name: str) -> pa.Table | None:
     """Return a closing table; None if it is missing or any of its bytes has changed."""
-    content, said = storage.get(target, name), record(target)
-    if content is None or said is None or said["digests"].get(name) != digest_of(content):
+    content, document = storage.get(target, name), record(target)
+    if content is None or document is None or document["digests"].get(name) != digest_of(content):
         return None
     try:
         return parquet_io.parse_table(content)

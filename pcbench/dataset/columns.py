@@ -35,10 +35,10 @@ MEANING = {
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
     "predicts_unknown_input": "whether the observer's prediction to the present includes its estimate of the unknown input; "
     "null: the observer has no such estimate, or no prediction",
-    **{f"predicts_unknown_input_{one}": f"predicts_unknown_input of observer_{one}" for one in "ab"},
+    **{f"predicts_unknown_input_{side}": f"predicts_unknown_input of observer_{side}" for side in "ab"},
     "certified": "whether the observer's gains have a certificate at this grid point (an inequality, checked again, with a "
     "margin above 0); null: the observer has no gains",
-    **{f"certified_{one}": f"certified of observer_{one}" for one in "ab"},
+    **{f"certified_{side}": f"certified of observer_{side}" for side in "ab"},
     "unit": "unit of the signal; in a row with a metric, the unit of the metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
@@ -102,8 +102,8 @@ MEANING = {
 }
 MEANING |= {f.name: f.meaning for f in FIELDS}
 MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
-for side, which in (("low", "lower"), ("high", "upper")):
-    MEANING |= {f"{q}_{side}": f"{which} end of the 95 % interval of {q}; null: open" for q in QUANTILES}
+for side, end in (("low", "lower"), ("high", "upper")):
+    MEANING |= {f"{q}_{side}": f"{end} end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 INTERVALS = (
     "95 %, over seeds. Means and root mean squares of what cannot be negative: Student's of the logarithm, that is "
     "mean exp(-+ t se / mean); final and mean_diff, which have a sign: Student's; fractions: Wilson's; quantiles: Nyblom's of "
@@ -143,24 +143,24 @@ def metrics_shown(results: Container[str]) -> list[str]:
     return [m for m in RUN_METRICS if m in results or m not in ASKED]
 
 
-def words(vocabulary: Sequence[str], which: ArrayLike) -> pa.Array:
+def words(vocabulary: Sequence[str], codes: ArrayLike) -> pa.Array:
     """Return a column of texts as indices into its few different values."""
-    indices = pa.array(np.asarray(which, np.int32))
+    indices = pa.array(np.asarray(codes, np.int32))
     return pa.DictionaryArray.from_arrays(indices, pa.array(vocabulary)).cast(pa.string())
 
 
 def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
     """Concatenate parts of a table by column; a part has one value per row, or one value for all its rows."""
     by_name: dict[str, list[object]] = {}
-    many: list[int] = []
+    lengths: list[int] = []
     for part in parts:
         for name, value in part.items():
             by_name.setdefault(name, []).append(value)
-        many.append(next(len(value) for value in part.values() if isinstance(value, np.ndarray)))
+        lengths.append(next(len(value) for value in part.values() if isinstance(value, np.ndarray)))
     out: dict[str, Any] = {}
     for name, values in by_name.items():
         arrays = [value for value in values if isinstance(value, np.ndarray)]
-        repeated = itertools.chain.from_iterable(map(itertools.repeat, values, many))
+        repeated = itertools.chain.from_iterable(map(itertools.repeat, values, lengths))
         out[name] = np.concatenate(arrays) if arrays else list(repeated)
     return out
 
@@ -201,8 +201,8 @@ def _array(values: ArrayLike, kind: pa.DataType) -> pa.Array:
     """Values as a column; NaN becomes null."""
     if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
         return pa.array(values, kind, from_pandas=True)
-    bad = np.isnan(values)  # four times as fast as `pa.array`
-    valid = pa.py_buffer(np.packbits(~bad, bitorder="little")) if bad.any() else None
+    is_nan = np.isnan(values)  # four times as fast as `pa.array`
+    valid = pa.py_buffer(np.packbits(~is_nan, bitorder="little")) if is_nan.any() else None
     return pa.Array.from_buffers(kind, len(values), [valid, pa.py_buffer(np.ascontiguousarray(values, float))])
 
 
@@ -213,16 +213,16 @@ def axes_of(row: Iterable[str]) -> list[str]:
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head, rest = (
+    head, identity = (
         "study scenario plant observer cell",
         "signal unit predicts_unknown_input certified metric method n diverged",
     )
     quantiles = [q + end for q in QUANTILES for end in ("", "_low", "_high")]
-    return [*head.split(), *axes, *rest.split(), "mean", "se", "ci_low", "ci_high", *quantiles, "reason"]
+    return [*head.split(), *axes, *identity.split(), "mean", "se", "ci_low", "ci_high", *quantiles, "reason"]
 
 
 def pairs_order(axes: list[str]) -> list[str]:
     """Return the columns of pairs.parquet."""
     pair = "observer_a observer_b predicts_unknown_input_a predicts_unknown_input_b certified_a certified_b signal unit metric"
-    rest = "method n mean_diff se ci_low ci_high prob_a_better p_value p_holm"
-    return ["study", "scenario", "plant", "cell", *axes, *pair.split(), *rest.split()]
+    numbers = "method n mean_diff se ci_low ci_high prob_a_better p_value p_holm"
+    return ["study", "scenario", "plant", "cell", *axes, *pair.split(), *numbers.split()]

@@ -69,35 +69,35 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     Only the footers of the blocks are read; `verify` reads whole blocks.
     """
     targets = storage.target(a), storage.target(b)
-    holdings = manifest.load_manifest(targets[0]), manifest.load_manifest(targets[1])
-    if changed := manifest.differences(holdings[0], _with_root_seed(holdings[1], holdings[0].study)):
+    claims = manifest.load_manifest(targets[0]), manifest.load_manifest(targets[1])
+    if changes := manifest.differences(claims[0], _with_root_seed(claims[1], claims[0].study)):
         raise UserError(
-            f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
+            f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(changes[:3])}), expected the same "
             "study; compare results of one study."
         )
-    sides = [_side(target, owned) for target, owned in zip(targets, holdings, strict=True)]
-    shared = _common_seeds(*sides)
-    left, right = (_stats(side, shared) for side in sides)
-    both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
-    only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
-    rows = compare_rows(both[both._merge == "both"].drop(columns="_merge"))
+    sides = [_side(target, claim) for target, claim in zip(targets, claims, strict=True)]
+    common_seeds = _common_seeds(*sides)
+    left, right = (_stats(side, common_seeds) for side in sides)
+    joint = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
+    only = int((joint._merge == "left_only").sum()), int((joint._merge == "right_only").sum())
+    rows = compare_rows(joint[joint._merge == "both"].drop(columns="_merge"))
     return Comparison(rows, only, made_by(*targets))
 
 
-def _with_root_seed(owned: StudyClaim, other: Study) -> StudyClaim:
+def _with_root_seed(claim: StudyClaim, other: Study) -> StudyClaim:
     """A study with the root seed of another, because a different root seed does not make a different study here."""
-    if other.root_seed == owned.study.root_seed:  # as it is: options of a user's observer may not be known here
-        return owned
-    study = owned.study.model_copy(update={"root_seed": other.root_seed})
-    every = reseed(owned.cells, other.root_seed)
-    return StudyClaim(study, every, to_toml(study, every))
+    if other.root_seed == claim.study.root_seed:  # as it is: options of a user's observer may not be known here
+        return claim
+    study = claim.study.model_copy(update={"root_seed": other.root_seed})
+    cells = reseed(claim.cells, other.root_seed)
+    return StudyClaim(study, cells, to_toml(study, cells))
 
 
 class Side(NamedTuple):
     """One of two results."""
 
     target: storage.Target
-    owned: StudyClaim
+    claim: StudyClaim
     stats: pa.Table
     digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
     blocks: Series
@@ -105,23 +105,22 @@ class Side(NamedTuple):
     @property
     def draws(self) -> dict[Name, list[Seeds]]:
         """Return its ranges of seeds by scenario, cell digest and observer."""
-        each = self.blocks.items()
         return {
-            (s, self.digests[s, cell], observer): merge_ranges(b.seeds for b in mine)
-            for (s, cell, observer), mine in each
+            (s, self.digests[s, cell], observer): merge_ranges(b.seeds for b in group)
+            for (s, cell, observer), group in self.blocks.items()
         }
 
 
-def _side(target: storage.Target, owned: StudyClaim) -> Side:
+def _side(target: storage.Target, claim: StudyClaim) -> Side:
     """Return a result; raise UserError if it is unfinished or damaged."""
     stats = close.table(target, "stats.parquet")
     if stats is None:
         raise UserError(
             f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to continue."
         )
-    digests = {c.key: identity(c, 0) for c in owned.cells}
-    there = block_files.drop_overlaps(block_files.present(target))
-    for b in there:
+    digests = {c.key: identity(c, 0) for c in claim.cells}
+    blocks = block_files.drop_overlaps(block_files.present(target))
+    for b in blocks:
         if (b.scenario, b.cell) not in digests:
             raise UserError(
                 f"{target.name}/{b.name}: is of a cell that {target.name}/study.toml does not have, expected one of its cells; "
@@ -131,76 +130,78 @@ def _side(target: storage.Target, owned: StudyClaim) -> Side:
             raise UserError(
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to recompute it."
             )
-    if not close.is_closed(target, there):
+    if not close.is_closed(target, blocks):
         raise UserError(
             f"{target.name}/stats.parquet: is not of the blocks in {target.name}/runs, expected a finished study; run it again "
             "to go on."
         )
-    return Side(target, owned, stats, digests, block_files.series(there))
+    return Side(target, claim, stats, digests, block_files.series(blocks))
 
 
 def _common_seeds(a: Side, b: Side) -> dict[Name, Seeds]:
     """Return the longest common range of seeds by cell and observer, if the two sides have different seeds."""
-    if a.owned.study.root_seed != b.owned.study.root_seed:
+    if a.claim.study.root_seed != b.claim.study.root_seed:
         return {}
-    out, here = {}, b.draws
-    for name, mine in a.draws.items():
-        both = [common(i, j) for i in mine for j in here.get(name, [])]
-        if mine != here.get(name) and any(seeds.many for seeds in both):
-            out[name] = max(both, key=lambda seeds: seeds.many)
+    out, draws = {}, b.draws
+    for name, ranges in a.draws.items():
+        overlaps = [common(i, j) for i in ranges for j in draws.get(name, [])]
+        if ranges != draws.get(name) and any(seeds.many for seeds in overlaps):
+            out[name] = max(overlaps, key=lambda seeds: seeds.many)
     return out
 
 
-def _stats(side: Side, shared: dict[Name, Seeds]) -> pd.DataFrame:
-    """The rows of stats with the digest of their cell and their seeds; over the `shared` seeds, if there are any."""
-    frame, draws, study = _over(side, shared).to_pandas(), side.draws, side.owned.study
-    values = {c.key: c.values for c in side.owned.cells}
+def _stats(side: Side, common_seeds: dict[Name, Seeds]) -> pd.DataFrame:
+    """The rows of stats with the digest of their cell and their seeds; over the `common_seeds`, if there are any."""
+    frame, draws, study = _over(side, common_seeds).to_pandas(), side.draws, side.claim.study
+    values = {c.key: c.values for c in side.claim.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
     frame["digest"] = [side.digests[key] for key in keys]
     frame["where"] = [", ".join(f"{name}={values[key][name]}" for name in study.axes) for key in keys]
     names = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
-    frame["draws"] = [f"{study.root_seed}: {[shared[n]] if n in shared else draws.get(n, EXACT)}" for n in names]
-    frame["narrowed"] = [name in shared for name in names]
+    frame["draws"] = [
+        f"{study.root_seed}: {[common_seeds[n]] if n in common_seeds else draws.get(n, EXACT)}" for n in names
+    ]
+    frame["narrowed"] = [name in common_seeds for name in names]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
     return frame[[*KEY, "where", "unit", "certified", "method", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
-def _over(side: Side, shared: dict[Name, Seeds]) -> pa.Table:
+def _over(side: Side, common_seeds: dict[Name, Seeds]) -> pa.Table:
     """The table stats, computed again over the common seeds if only some are common."""
     parts = []
-    for cell in side.owned.cells if shared else ():
+    for cell in side.claim.cells if common_seeds else ():
         c = aggregate.of_cell(side.target, cell, side.blocks)
         for observer in c.blocks:
-            within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
-            alone = c._replace(blocks={observer: c.blocks[observer]}, about={observer: c.about[observer]})
-            parts.append(aggregate.rows_of(side.owned.study.name, alone, within)[0])
+            within = common_seeds.get((cell.scenario.name, side.digests[cell.key], observer))
+            single = c._replace(blocks={observer: c.blocks[observer]}, about={observer: c.about[observer]})
+            parts.append(aggregate.rows_of(side.claim.study.name, single, within)[0])
     return pa.concat_tables(parts) if parts else side.stats
 
 
-def compare_rows(both: pd.DataFrame) -> pd.DataFrame:
+def compare_rows(joint: pd.DataFrame) -> pd.DataFrame:
     """Return matched rows with the difference, the p-value, Holm's p-value, and whether they changed."""
-    a, b = (both[f"mean_{side}"].to_numpy(float) for side in "ab")
+    a, b = (joint[f"mean_{side}"].to_numpy(float) for side in "ab")
     difference, size = b - a, np.fmax(np.abs(a), np.abs(b))
     relative = np.where(size > ZERO, np.abs(difference) / np.where(size > ZERO, size, 1.0), 0.0)
     same = (relative <= ROUNDING) | (np.abs(difference) <= ZERO)
-    p = welch(*(both[f"{what}_{side}"].to_numpy(float) for side in "ab" for what in ("mean", "se", "n")))
+    p = welch(*(joint[f"{name}_{side}"].to_numpy(float) for side in "ab" for name in ("mean", "se", "n")))
     p = np.where(same, np.nan, p)
-    adjusted, same_draws = holm(p), (both.draws_a == both.draws_b).to_numpy()
-    still = both.se_a.fillna(0.0).eq(0).to_numpy() & both.se_b.fillna(0.0).eq(0).to_numpy()
-    spread = both.se_a.notna().to_numpy() & both.se_b.notna().to_numpy()
-    without = ~same & ~np.isnan(a) & ~np.isnan(b) & still & (spread | same_draws)
-    lost = (np.isnan(a) != np.isnan(b)) & ~(both.method_a.eq("none") | both.method_b.eq("none")).to_numpy()
-    changed = (adjusted < LEVEL) | without | lost
+    p_holm, same_draws = holm(p), (joint.draws_a == joint.draws_b).to_numpy()
+    is_constant = joint.se_a.fillna(0.0).eq(0).to_numpy() & joint.se_b.fillna(0.0).eq(0).to_numpy()
+    has_spread = joint.se_a.notna().to_numpy() & joint.se_b.notna().to_numpy()
+    is_exact_change = ~same & ~np.isnan(a) & ~np.isnan(b) & is_constant & (has_spread | same_draws)
+    is_missing = (np.isnan(a) != np.isnan(b)) & ~(joint.method_a.eq("none") | joint.method_b.eq("none")).to_numpy()
+    changed = (p_holm < LEVEL) | is_exact_change | is_missing
     names = {"scenario": "scenario", "where_a": "where", "observer": "observer", "signal": "signal", "metric": "metric"}
     names |= {"unit_a": "unit"}
-    kept = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b", "certified_a", "certified_b"]
-    out = both[[*names, *kept]].rename(columns=names)
-    out = out.assign(difference=difference, relative=np.nan_to_num(relative), p_value=p, p_holm=adjusted)
-    out = out.assign(same_draws=same_draws, changed=changed, identical=(both.bits_a == both.bits_b).to_numpy())
-    out = out.assign(narrowed=both.narrowed_a.to_numpy())
-    sure = np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0))
-    return out.iloc[np.lexsort((-out.relative, sure, ~changed))]
+    columns = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b", "certified_a", "certified_b"]
+    out = joint[[*names, *columns]].rename(columns=names)
+    out = out.assign(difference=difference, relative=np.nan_to_num(relative), p_value=p, p_holm=p_holm)
+    out = out.assign(same_draws=same_draws, changed=changed, identical=(joint.bits_a == joint.bits_b).to_numpy())
+    out = out.assign(narrowed=joint.narrowed_a.to_numpy())
+    rank_p = np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0))
+    return out.iloc[np.lexsort((-out.relative, rank_p, ~changed))]
 
 
 def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
@@ -209,8 +210,8 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
     If one side is exact (no runs, standard error 0), it is Student's test of the other side.
     """
     va, vb = sa**2, sb**2
-    enough = [(n > 1) | ((n == 0) & (s == 0)) for n, s in ((na, sa), (nb, sb))]
-    comparable = enough[0] & enough[1] & (va + vb > 0)
+    usable = [(n > 1) | ((n == 0) & (s == 0)) for n, s in ((na, sa), (nb, sb))]
+    comparable = usable[0] & usable[1] & (va + vb > 0)
     na, nb = np.maximum(na, 2), np.maximum(nb, 2)
     va, vb = np.where(comparable, va, 1.0), np.where(comparable, vb, 1.0)
     a, b = va / (va + vb), vb / (va + vb)  # variances may be so small that their squares are zero
@@ -221,7 +222,7 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
 def made_by(a: storage.Target, b: storage.Target) -> list[str]:
     """Return the differences of two provenances in libraries and machines, one phrase each."""
     records = [close.record(target) or {} for target in (a, b)]
-    old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in records)
+    old, new = (_flat({k: r.get(k) for k in MADE_BY}) for r in records)
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
 

@@ -65,50 +65,50 @@ def local_executor(count: int | None = None) -> Iterator[Executor]:
     free: SimpleQueue[jax.Device] = SimpleQueue()
     for device in runner.devices(count):
         free.put(device)
-    many = 2 * free.qsize()
-    stopped, writing = Event(), Semaphore(many)
-    pool = ThreadPoolExecutor(many, "pcbench")
+    n_tasks = 2 * free.qsize()
+    stop, write_slots = Event(), Semaphore(n_tasks)
+    pool = ThreadPoolExecutor(n_tasks, "pcbench")
 
-    def go_on() -> None:
-        if stopped.is_set():
+    def check_stop() -> None:
+        if stop.is_set():
             raise CancelledError
 
-    def do(work: Callable[[T, Hold], R], task: T) -> R:
+    def run_task(work: Callable[[T, Hold], R], task: T) -> R:
         with ExitStack() as until_done:
 
             @contextmanager
             def hold() -> Iterator[jax.Device]:
                 device = free.get()
                 try:
-                    go_on()
+                    check_stop()
                     yield device
                 finally:
                     free.put(device)
-                until_done.enter_context(writing)
-                go_on()
+                until_done.enter_context(write_slots)
+                check_stop()
 
             return work(task, hold)
 
     def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
-        left, under_way = iter(tasks), set[Future[R]]()
+        queue, futures = iter(tasks), set[Future[R]]()
         while True:
-            under_way |= {pool.submit(do, work, t) for t in islice(left, many - len(under_way))}
-            if not under_way:
+            futures |= {pool.submit(run_task, work, t) for t in islice(queue, n_tasks - len(futures))}
+            if not futures:
                 return
-            ended, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in ended:
+            complete, futures = wait(futures, return_when=FIRST_COMPLETED)
+            for future in complete:
                 yield future.result()
 
     try:
         yield execute
     except (KeyboardInterrupt, GeneratorExit):
-        stopped.set()
+        stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
-        for _ in range(many):  # none writes any more once this has all of them
-            writing.acquire()
+        for _ in range(n_tasks):  # none writes any more once this has all of them
+            write_slots.acquire()
         raise
     finally:
-        pool.shutdown(wait=not stopped.is_set(), cancel_futures=True)  # none writes on when this has ended
+        pool.shutdown(wait=not stop.is_set(), cancel_futures=True)  # none writes on when this has ended
 
 
 @contextmanager
@@ -143,18 +143,18 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
             "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 
-    nobody = getattr(distributed.scheduler, "NoWorkerError", ())  # of releases that know a time for it
+    no_workers = getattr(distributed.scheduler, "NoWorkerError", ())  # of releases that know a time for it
 
     def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
-        left, under_way = iter(tasks), distributed.as_completed(loop=client.loop)
+        queue, futures = iter(tasks), distributed.as_completed(loop=client.loop)
 
         def feed() -> None:
             room = AHEAD * max(len(client.nthreads()), 1)
-            for task in islice(left, max(room - under_way.count(), 0)):
-                under_way.add(client.submit(_on_a_worker, work, task, pure=False))
+            for task in islice(queue, max(room - futures.count(), 0)):
+                futures.add(client.submit(_run_on_worker, work, task, pure=False))
 
         feed()
-        for future in under_way:
+        for future in futures:
             try:
                 report = future.result()
             except distributed.KilledWorker:
@@ -162,7 +162,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
                     "--dask: a task lost its worker several times, expected workers that stay alive; check their memory, and "
                     "run the same command again to go on."
                 ) from None
-            except nobody:
+            except no_workers:
                 raise UserError(
                     "--dask: all workers have ended and none restarted, expected workers that live; look at their output, "
                     "or leave --dask out."
@@ -209,17 +209,17 @@ def _local(workers: int | None) -> "LocalCluster":
     )
 
 
-def _on_a_worker(work: Callable[[T, Hold], R], task: T) -> R:
+def _run_on_worker(work: Callable[[T, Hold], R], task: T) -> R:
     """Run a task in a worker's process, which is configured at its first task and computes one task at a time."""
     _set_up()
-    return work(task, _one_at_a_time)
+    return work(task, _exclusive_device)
 
 
 @contextmanager
-def _one_at_a_time() -> Iterator[None]:
-    with _COMPUTING:
+def _exclusive_device() -> Iterator[None]:
+    with _DEVICE_LOCK:
         yield
 
 
 _set_up = cache(config.setup)
-_COMPUTING = Lock()
+_DEVICE_LOCK = Lock()

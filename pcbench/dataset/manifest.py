@@ -22,10 +22,10 @@ from pcbench.toml_text import TomlTable
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
-BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and draws for guests: made before its own runs begin
+BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and noise for external programs: before the runs begin
 EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
-WRITTEN = ("report.html", "fair.parquet", "examples/")  # what other commands write into a dataset by default
-SHOWN = 3  # differences that a refusal names
+OUTPUT_FILES = ("report.html", "fair.parquet", "examples/")  # what other commands write into a dataset by default
+MAX_SHOWN = 3  # differences that a refusal names
 
 
 class StudyClaim(NamedTuple):
@@ -43,39 +43,40 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
     Writes nothing. With `overwrite`, an existing study will be removed.
     """
     text, blocks = storage.text(target, TEXT), block_files.present(target)
-    there = None if text is None else _parse_manifest(text)
-    begun = None if overwrite or there is None else there.get("engine")
-    if begun is None and blocks and not overwrite:  # its text is lost
-        begun = block_files.about_block(target, blocks[0]).get("engine")
-    study, cells = grid = with_engine(grid, begun)
+    table = None if text is None else _parse_manifest(text)
+    engine = None if overwrite or table is None else table.get("engine")
+    if engine is None and blocks and not overwrite:  # its text is lost
+        engine = block_files.about_block(target, blocks[0]).get("engine")
+    study, cells = grid = with_engine(grid, engine)
     if overwrite and (blocks or text is not None):
         if text is not None and not blocks:
             read_text(target, text)
-            _require_ours(target, (TEXT, *CLOSING, *EXACT, *WRITTEN, "code/"))
+            _require_ours(target, (TEXT, *CLOSING, *EXACT, *OUTPUT_FILES, "code/"))
         stored_code.copies(target)
     elif text is None and not blocks:
         _require_ours(target)
-    elif there is None and blocks:
+    elif table is None and blocks:
         cells = _cells_of_blocks(target, grid, blocks)
     elif text is not None:
-        there = read_text(target, text)
-        cells = number_cells(cells, there["resolved"]["cells"])
+        table = read_text(target, text)
+        cells = number_cells(cells, table["resolved"]["cells"])
         if blocks:  # seeds of a run that was stopped, which have no block, bind nobody
-            standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
-            left = common(seed_range(there["first_seed"], there["seeds"]), standing)
-            there |= {"first_seed": left.first, "seeds": left.many}
-        files = stored_code.files_in(target, there), stored_code.files_of(study)
-        changed = [
-            *changes(there, toml_text.parse(to_toml(study, cells)), files),
-            *_shape_changes(target, there, study),
+            block_seeds = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
+            seeds = common(seed_range(table["first_seed"], table["seeds"]), block_seeds)
+            table |= {"first_seed": seeds.first, "seeds": seeds.many}
+        files = stored_code.files_in(target, table), stored_code.files_of(study)
+        differences = [
+            *changes(table, toml_text.parse(to_toml(study, cells)), files),
+            *_shape_changes(target, table, study),
         ]
-        if changed and blocks:
-            more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        if differences and blocks:
+            more = f" and {len(differences) - MAX_SHOWN} more" if len(differences) > MAX_SHOWN else ""
             raise UserError(
-                f"{target.name}: holds the results of another study ({'; '.join(changed[:SHOWN])}{more}), expected the same "
-                "one, or one with more seeds, cells or observers; give a new folder with --out, or start over with --overwrite."
+                f"{target.name}: holds the results of another study ({'; '.join(differences[:MAX_SHOWN])}{more}), expected the "
+                "same one, or one with more seeds, cells or observers; give a new folder with --out, or start over with "
+                "--overwrite."
             )
-        if changed:  # nothing was finished there
+        if differences:  # nothing was finished there
             cells = grid.cells
     return StudyClaim(study, cells, to_toml(study, cells), overwrite and bool(blocks or text is not None))
 
@@ -89,7 +90,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
     for b in blocks:
         about, cells = block_files.about_block(target, b), [c for c in grid.cells if c.scenario.name == b.scenario]
         options = {label: digest for c in cells[:1] for label, digest in c.options_digests.items()}
-        wrong = {
+        conflicts = {
             "it cannot be read": not about,
             f"study: {about.get('study')} there, {study.name} here": about.get("study") != study.name,
             f"root_seed: {about.get('root_seed')} there, {study.root_seed} here": about.get("root_seed")
@@ -98,8 +99,8 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
             f"options of {b.observer}": about.get("options") != options.get(b.observer),
             "axes": about.get("cell") not in [c.digest for c in cells] or b.cell >= len(cells),
         }
-        if any(wrong.values()):
-            first = next(phrase for phrase, is_so in wrong.items() if is_so)
+        if any(conflicts.values()):
+            first = next(phrase for phrase, applies in conflicts.items() if applies)
             raise UserError(
                 f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({first}), expected the "
                 "study that these blocks are of; run that, or give a new folder with --out."
@@ -107,15 +108,15 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
         numbers[b.scenario][b.cell] = about["cell"]
     order = {}
     for scenario, digests in numbers.items():
-        rest = (c.digest for c in grid.cells if c.scenario.name == scenario and c.digest not in digests.values())
-        order[scenario] = [digests.get(i) or next(rest) for i in range(max(digests, default=-1) + 1)]
+        unused = (c.digest for c in grid.cells if c.scenario.name == scenario and c.digest not in digests.values())
+        order[scenario] = [digests.get(i) or next(unused) for i in range(max(digests, default=-1) + 1)]
     return number_cells(grid.cells, order)
 
 
-def _require_ours(target: storage.Target, ours: tuple[str, ...] = ()) -> None:
+def _require_ours(target: storage.Target, prefixes: tuple[str, ...] = ()) -> None:
     """Raise UserError if a target without blocks contains files other than `ours` and the known files of a dataset."""
     for name in storage.names(target):
-        if not name.startswith((*BESIDE, *ours)):
+        if not name.startswith((*BESIDE, *prefixes)):
             raise UserError(
                 f"{target.name}: holds other files ({name}), expected a new or empty folder; give another one with --out."
             )
@@ -131,55 +132,55 @@ def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
         raise UserError(
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
-    there = read_text(target, text)
-    study, cells = parse.grid(_drop_resolved(there), f"{target.name}/{TEXT}", stored_code.gate(target, there, run))
-    return StudyClaim(study, number_cells(cells, there["resolved"]["cells"]), text.decode())
+    table = read_text(target, text)
+    study, cells = parse.grid(_drop_resolved(table), f"{target.name}/{TEXT}", stored_code.gate(target, table, run))
+    return StudyClaim(study, number_cells(cells, table["resolved"]["cells"]), text.decode())
 
 
-def digests(owned: StudyClaim) -> dict[tuple[str, int], str]:
+def digests(claim: StudyClaim) -> dict[tuple[str, int], str]:
     """Return the digest of each cell by its key."""
-    return {c.key: c.digest for c in owned.cells}
+    return {c.key: c.digest for c in claim.cells}
 
 
 def differences(a: StudyClaim, b: StudyClaim) -> list[str]:
     """Return the differences of two studies, except seeds, engine and the order of cells, one phrase each."""
-    old, new = (toml_text.parse(each.text) for each in (a, b))
-    for each in (old, new):
-        each |= {"first_seed": 0, "seeds": 1, "engine": ""}
-        each["resolved"]["cells"] = {s: sorted(digests) for s, digests in each["resolved"]["cells"].items()}
-    mirrored = [re.sub(r": (.*) there, (.*) here$", r": \2 there, \1 here", change) for change in changes(new, old)]
-    return list(dict.fromkeys([*changes(old, new), *mirrored]))
+    old, new = (toml_text.parse(t.text) for t in (a, b))
+    for t in (old, new):
+        t |= {"first_seed": 0, "seeds": 1, "engine": ""}
+        t["resolved"]["cells"] = {s: sorted(digests) for s, digests in t["resolved"]["cells"].items()}
+    reverse = [re.sub(r": (.*) there, (.*) here$", r": \2 there, \1 here", change) for change in changes(new, old)]
+    return list(dict.fromkeys([*changes(old, new), *reverse]))
 
 
-def begin(target: storage.Target, owned: StudyClaim) -> None:
+def begin(target: storage.Target, claim: StudyClaim) -> None:
     """Delete the closing tables of an earlier run (with `overwrite` its blocks too), then write study.toml."""
     storage.make(target)
     for name in CLOSING:
         storage.remove(target, name)
-    if owned.overwrite:
+    if claim.overwrite:
         for name in storage.names(target, "runs"):
             if block_files.block_of(name):
                 storage.remove(target, name)
         for name in stored_code.copies(target):
             storage.remove(target, name)
-    renew(target, owned)
-    stored_code.keep(target, owned.study)
+    renew(target, claim)
+    stored_code.keep(target, claim.study)
 
 
-def renew(target: storage.Target, owned: StudyClaim) -> None:
+def renew(target: storage.Target, claim: StudyClaim) -> None:
     """Write the study's text, unless it is already there."""
-    if storage.text(target, TEXT) != owned.text.encode():
-        storage.put(target, TEXT, owned.text.encode())
+    if storage.text(target, TEXT) != claim.text.encode():
+        storage.put(target, TEXT, claim.text.encode())
 
 
-def _drop_resolved(there: TomlTable) -> TomlTable:
-    return {k: v for k, v in there.items() if k != "resolved"}
+def _drop_resolved(table: TomlTable) -> TomlTable:
+    return {k: v for k, v in table.items() if k != "resolved"}
 
 
-def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> Iterator[str]:
+def _shape_changes(target: storage.Target, table: TomlTable, study: Study) -> Iterator[str]:
     """Yield the axes whose column would change between numbers and lists."""
-    where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, there, False)
-    old = parse.build_study(_drop_resolved(there) | {"seeds": 1}, where, gate)
+    where, gate = f"{target.name}/{TEXT}", stored_code.gate(target, table, False)
+    old = parse.build_study(_drop_resolved(table) | {"seeds": 1}, where, gate)
     for name in sorted(axes_with_lists(old) ^ axes_with_lists(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
     for name in sorted(command_columns(old) ^ command_columns(study)):
@@ -188,25 +189,25 @@ def _shape_changes(target: storage.Target, there: TomlTable, study: Study) -> It
 
 def read_text(target: storage.Target, text: bytes) -> TomlTable:
     """Return the parsed content of study.toml; raise UserError if it is damaged."""
-    if (there := _parse_manifest(text)) is not None:
-        return there
-    many = len(block_files.present(target))
-    anew = (
-        f"run its study again with --out {target.name} to write it again: its {many} blocks are kept."
-        if many
+    if (table := _parse_manifest(text)) is not None:
+        return table
+    n_blocks = len(block_files.present(target))
+    remedy = (
+        f"run its study again with --out {target.name} to write it again: its {n_blocks} blocks are kept."
+        if n_blocks
         else "move it away, or give a new folder with --out."
     )
-    raise UserError(f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; {anew}")
+    raise UserError(f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; {remedy}")
 
 
 def _parse_manifest(text: bytes) -> TomlTable | None:
     """The parsed content of study.toml; None if its entries have wrong types."""
     try:
-        there = toml_text.parse(text)
-        resolved = there["resolved"]
-        numbers = isinstance(there["seeds"], int) and isinstance(there["first_seed"], int)
+        table = toml_text.parse(text)
+        resolved = table["resolved"]
+        numbers = isinstance(table["seeds"], int) and isinstance(table["first_seed"], int)
         tables = all(isinstance(v, dict) for k in ("options", "scenarios") for v in resolved[k].values())
         lists = all(isinstance(v, list) for k in ("observers", "cells") for v in resolved[k].values())
-        return there if numbers and lists and tables and isinstance(there.get("axes", {}), dict) else None
+        return table if numbers and lists and tables and isinstance(table.get("axes", {}), dict) else None
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

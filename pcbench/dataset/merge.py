@@ -29,7 +29,7 @@ class Part(NamedTuple):
     """A block with its dataset, and its name in the merged dataset."""
 
     target: storage.Target
-    there: Block
+    source: Block
     block: Block
 
 
@@ -37,7 +37,7 @@ class ExactFile(NamedTuple):
     """A file of exact numbers with its dataset."""
 
     target: storage.Target
-    owned: StudyClaim
+    claim: StudyClaim
     name: str
 
 
@@ -49,19 +49,19 @@ class MergeReport(NamedTuple):
     missing: int  # runs that no dataset held
 
 
-def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SILENT) -> MergeReport:
+def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = SILENT) -> MergeReport:
     """Copy the blocks of several datasets of one study into a new one and close it; raise UserError if they disagree.
 
     Nothing is written before all overlaps are compared.
     """
-    if len(given) < 2:
-        raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
-    targets = [storage.target(each) for each in given]
-    holdings = [manifest.load_manifest(target) for target in targets]
-    for target, owned in zip(targets[1:], holdings[1:], strict=True):
-        if changed := [*manifest.differences(holdings[0], owned), *_evaluation_differences(holdings[0], owned)]:
+    if len(folders) < 2:
+        raise UserError(f"merge: got {len(folders)} dataset, expected two or more; name them.")
+    targets = [storage.target(folder) for folder in folders]
+    claims = [manifest.load_manifest(target) for target in targets]
+    for target, claim in zip(targets[1:], claims[1:], strict=True):
+        if differences := [*manifest.differences(claims[0], claim), *_evaluation_differences(claims[0], claim)]:
             raise UserError(
-                f"{target.name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
+                f"{target.name}: is of another study than {targets[0].name} ({'; '.join(differences[:3])}), expected the same "
                 "study with other seeds; merge datasets of one study."
             )
     into = storage.target(out)
@@ -69,78 +69,78 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
         raise UserError(
             f"{into.name}: holds files already ({files[0]}), expected a new folder; give another with --out, or remove it."
         )
-    whole = _over_all_seeds(holdings)
-    parts, exact = _parts(targets, holdings, whole), _exact_files(targets, holdings, whole)
+    union = _over_all_seeds(claims)
+    parts, exact = _parts(targets, claims, union), _exact_files(targets, claims, union)
     progress.begin("merging", 2 * sum(map(len, parts.values())))
-    for mine in parts.values():  # first look, then write
-        for i, part in enumerate(mine):
-            for other in mine[:i]:
+    for group in parts.values():  # first look, then write
+        for i, part in enumerate(group):
+            for other in group[:i]:
                 _require_equal(part, other)
             progress.step(1)
     for first, *rest in exact.values():
-        table = _exact_rows(first, whole)
+        table = _exact_rows(first, union)
         for file in rest:
-            if not agree(table, _exact_rows(file, whole)):
+            if not agree(table, _exact_rows(file, union)):
                 raise UserError(
                     f"{file.target.name}/{file.name}: differs from {first.target.name}/{first.name} by more than rounding, "
                     "expected equal numbers; run the study of one of them again with --overwrite."
                 )
-    manifest.begin(into, whole)
+    manifest.begin(into, union)
     for target in targets:
         stored_code.copy(target, into)
-    doubled = 0
-    for mine in parts.values():
-        held: list[Seeds] = []
-        for part in mine:
-            left = gaps(held, part.block.seeds, part.block.seeds.stop)  # two, if earlier parts hold its middle
-            doubled += part.block.seeds.many - sum(seeds.many for seeds in left)
-            held += left
-            for block in (part.block._replace(seeds=seeds) for seeds in left):
+    n_duplicates = 0
+    for group in parts.values():
+        ranges: list[Seeds] = []
+        for part in group:
+            new_ranges = gaps(ranges, part.block.seeds, part.block.seeds.stop)  # two, if earlier parts hold its middle
+            n_duplicates += part.block.seeds.many - sum(seeds.many for seeds in new_ranges)
+            ranges += new_ranges
+            for block in (part.block._replace(seeds=seeds) for seeds in new_ranges):
                 storage.put(into, block.name, _content(part, block))
             progress.step(1)
     for name, (first, *_) in exact.items():
-        storage.put_table(into, name, _exact_rows(first, whole))
-    there, lacking = block_files.present(into), run_missing.count_missing(into, whole)
-    if not lacking:  # every observer has the same seeds
-        engines = sorted({cell.engine for owned in holdings for cell in owned.cells})
+        storage.put_table(into, name, _exact_rows(first, union))
+    blocks, n_missing = block_files.present(into), run_missing.count_missing(into, union)
+    if not n_missing:  # every observer has the same seeds
+        engines = sorted({cell.engine for claim in claims for cell in claim.cells})
         about = {"merged": [target.name for target in targets], "engines": engines}
-        close.close(into, whole, close.closing_tables(into, whole, there), about)
-    return MergeReport(len(there), doubled, lacking)
+        close.close(into, union, close.closing_tables(into, union, blocks), about)
+    return MergeReport(len(blocks), n_duplicates, n_missing)
 
 
 def _evaluation_differences(a: StudyClaim, b: StudyClaim) -> Iterator[str]:
     """Yield differences in the evaluation, which a study may change in its folder, but which parts must share."""
     for name in ("evaluation", "schedules"):
-        if (one := getattr(a.study, name)) != (other := getattr(b.study, name)):
-            yield f"{name}: {one} there, {other} here"
+        if (old := getattr(a.study, name)) != (new := getattr(b.study, name)):
+            yield f"{name}: {old} there, {new} here"
 
 
-def _over_all_seeds(holdings: list[StudyClaim]) -> StudyClaim:
+def _over_all_seeds(claims: list[StudyClaim]) -> StudyClaim:
     """The study over all seeds, with cells numbered as in the first dataset."""
-    study, cells = holdings[0].study, holdings[0].cells
-    each = [seed_range(owned.study.first_seed, owned.study.seeds) for owned in holdings]
-    whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
-    study = study.model_copy(update={"first_seed": whole.first, "seeds": whole.many})
+    study, cells = claims[0].study, claims[0].cells
+    ranges = [seed_range(claim.study.first_seed, claim.study.seeds) for claim in claims]
+    span = Seeds(min(seeds.first for seeds in ranges), max(seeds.stop for seeds in ranges))
+    study = study.model_copy(update={"first_seed": span.first, "seeds": span.many})
     return StudyClaim(study, cells, to_toml(study, cells))
 
 
-def _numbers(owned: StudyClaim, whole: StudyClaim) -> dict[tuple[str, int], int]:
+def _numbers(claim: StudyClaim, union: StudyClaim) -> dict[tuple[str, int], int]:
     """The cell's number in the merged dataset, by scenario and number in a part."""
-    numbers = {(s, digest): number for (s, number), digest in manifest.digests(whole).items()}
-    return {(s, n): numbers[s, digest] for (s, n), digest in manifest.digests(owned).items()}
+    numbers = {(s, digest): number for (s, number), digest in manifest.digests(union).items()}
+    return {(s, n): numbers[s, digest] for (s, n), digest in manifest.digests(claim).items()}
 
 
 def _parts(
-    targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
+    targets: list[storage.Target], claims: list[StudyClaim], union: StudyClaim
 ) -> dict[tuple[str, int, str], list[Part]]:
     """Return the blocks of all datasets by scenario, cell and observer, numbered as in the merged dataset."""
     out: dict[tuple[str, int, str], list[Part]] = {}
-    for target, owned in zip(targets, holdings, strict=True):
-        digests, numbers = manifest.digests(owned), _numbers(owned, whole)
+    for target, claim in zip(targets, claims, strict=True):
+        digests, numbers = manifest.digests(claim), _numbers(claim, union)
         for b in sorted(block_files.present(target), key=lambda b: (b.seeds.first, -b.seeds.stop)):
-            if wrong := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
+            if reason := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(
-                    f"{target.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
+                    f"{target.name}/{b.name}: is damaged ({reason}), expected a whole block; run its study again first."
                 )
             block = b._replace(cell=numbers[b.scenario, b.cell])
             out.setdefault((b.scenario, block.cell, b.observer), []).append(Part(target, b, block))
@@ -149,8 +149,8 @@ def _parts(
 
 def _content(part: Part, block: Block) -> pa.Buffer:
     """The bytes of a part's block for some seeds; if these are all its seeds, the bytes of its file."""
-    if block != part.there:
-        return parquet_io.encode_table(_cut(block_files.read(part.target, part.there), block))
+    if block != part.source:
+        return parquet_io.encode_table(_cut(block_files.read(part.target, part.source), block))
     content = storage.get(part.target, block.name)
     if content is None:
         raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
@@ -160,44 +160,45 @@ def _content(part: Part, block: Block) -> pa.Buffer:
 def _cut(table: pa.Table, block: Block) -> pa.Table:
     """Return the rows of a table for a block, with the block's cell number."""
     about = block_files.about(table)
-    many = len(table) // (about["last"] - about["first"])
-    rows = table.slice((block.seeds.first - about["first"]) * many, block.seeds.many * many)
+    rows_per_seed = len(table) // (about["last"] - about["first"])
+    rows = table.slice((block.seeds.first - about["first"]) * rows_per_seed, block.seeds.many * rows_per_seed)
     rows = parquet_io.with_column(rows, "cell", [block.cell] * len(rows))
     return block_files.seal_block(rows, about | {"first": block.seeds.first, "last": block.seeds.stop})
 
 
 def _require_equal(part: Part, other: Part) -> None:
     """Raise UserError if a part disagrees with an earlier one on their common seeds."""
-    both = common(part.block.seeds, other.block.seeds)
-    if not both.many:
+    common_seeds = common(part.block.seeds, other.block.seeds)
+    if not common_seeds.many:
         return
-    a, b = (_cut(block_files.read(p.target, p.there), part.block._replace(seeds=both)) for p in (other, part))
+    a, b = (_cut(block_files.read(p.target, p.source), part.block._replace(seeds=common_seeds)) for p in (other, part))
     if a.equals(b):
         return
     if block_files.about(a)["engine"] == block_files.about(b)["engine"] or not of_one_run(a, b, BETWEEN_ENGINES):
-        apart = difference(a, b)
-        how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
+        deviation = difference(a, b)
+        size = "in more than numbers" if deviation is None else f"by {deviation.relative:.1e} of themselves"
         raise UserError(
-            f"{part.target.name}/{part.there.name}: its seeds {both.first} .. {both.stop - 1} differ {how} from those "
-            f"in {other.target.name}, expected equal rows; find out with pcbench verify which of them is reproduced."
+            f"{part.target.name}/{part.source.name}: its seeds {common_seeds.first} .. {common_seeds.stop - 1} differ "
+            f"{size} from those in {other.target.name}, expected equal rows; find out with pcbench verify which of them is "
+            "reproduced."
         )
 
 
 def _exact_files(
-    targets: list[storage.Target], holdings: list[StudyClaim], whole: StudyClaim
+    targets: list[storage.Target], claims: list[StudyClaim], union: StudyClaim
 ) -> dict[str, list[ExactFile]]:
     """Return the files of exact numbers by their name in the merged dataset."""
     out: dict[str, list[ExactFile]] = {}
-    for target, owned in zip(targets, holdings, strict=True):
-        place, numbers = moments_tables.place, _numbers(owned, whole)
+    for target, claim in zip(targets, claims, strict=True):
+        place, numbers = moments_tables.place, _numbers(claim, union)
         names = {place(s, n): place(s, number) for (s, n), number in numbers.items()}
         names[moments_tables.NAME] = moments_tables.NAME
         for name in filter(names.__contains__, storage.names(target)):
-            out.setdefault(names[name], []).append(ExactFile(target, owned, name))
+            out.setdefault(names[name], []).append(ExactFile(target, claim, name))
     return dict(sorted(out.items()))
 
 
-def _exact_rows(file: ExactFile, whole: StudyClaim) -> pa.Table:
+def _exact_rows(file: ExactFile, union: StudyClaim) -> pa.Table:
     """Return the rows of a file for the merged dataset."""
     table = parquet_io.unseal_table(storage.get(file.target, file.name))
     if table is None:
@@ -206,11 +207,11 @@ def _exact_rows(file: ExactFile, whole: StudyClaim) -> pa.Table:
         )
     if file.name != moments_tables.NAME:
         return table
-    numbers, turn = _numbers(file.owned, whole), {cell.key: i for i, cell in enumerate(whole.cells)}
+    numbers, order = _numbers(file.claim, union), {cell.key: i for i, cell in enumerate(union.cells)}
     keys = [(s, numbers[s, n]) for s, n in zip(table["scenario"].to_pylist(), table["cell"].to_pylist(), strict=True)]
     rows = parquet_io.with_column(table, "cell", [number for _, number in keys])
-    rows = rows.take(np.argsort([turn[key] for key in keys], kind="stable"))
+    rows = rows.take(np.argsort([order[key] for key in keys], kind="stable"))
     mark = parquet_io.metadata(table).get(moments_tables.OF)
-    if mark == moments_tables.of(file.owned):  # else the next run computes it again
-        mark = moments_tables.of(whole)
+    if mark == moments_tables.of(file.claim):  # else the next run computes it again
+        mark = moments_tables.of(union)
     return parquet_io.seal_table(parquet_io.with_metadata(rows, {moments_tables.OF: mark} if mark else {}))

@@ -55,10 +55,10 @@ class Exact:
         If each run has its own schedule, they are over noise and schedules. Observers without exact results are missing.
         """
         frames = []
-        for m in self.solved(self._chosen(scenario, cell), "std"):
+        for m in self.solved(self._select(scenario, cell), "std"):
             for part in self.over_time(m):
-                head, many = columns.keys(self.grid.study.name, m.planned.cell), len(part["t"])
-                frames.append(pd.DataFrame({name: [value] * many for name, value in head.items()} | part))
+                head, n = columns.keys(self.grid.study.name, m.planned.cell), len(part["t"])
+                frames.append(pd.DataFrame({name: [value] * n for name, value in head.items()} | part))
         return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
     def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[np.generic]]]:
@@ -83,33 +83,33 @@ class Exact:
 
         Raises UserError if an observer has no exact results, or if several observers close a loop.
         """
-        chosen = self._chosen(scenario, cell)
-        if len(chosen) > 1:
-            raise UserError(f"covariance: got {len(chosen)} cells, expected one; give scenario and cell.")
-        m, *others = self.solved(chosen, COVARIANCE)
-        if others:
+        cells = self._select(scenario, cell)
+        if len(cells) > 1:
+            raise UserError(f"covariance: got {len(cells)} cells, expected one; give scenario and cell.")
+        m, *more = self.solved(cells, COVARIANCE)
+        if more:
             raise UserError(
-                f"covariance: got {len(chosen[0].options)} observers in a closed loop, expected one: each drives a plant of "
+                f"covariance: got {len(cells[0].options)} observers in a closed loop, expected one: each drives a plant of "
                 "its own; ask with observers=[...] of one."
             )
         if not m.rows or any(m.why.values()):
             # One whose numbers overflow spoils those of the others here, and not by itself.
-            alone = (why for one in self.solved(chosen) for why in one.why.values())
-            raise UserError(f"covariance: {next(filter(None, (*alone, *m.why.values())))}")
-        names = [name for name, _ in signals_of(chosen[0].scenario)]
+            reasons = (why for c in self.solved(cells) for why in c.why.values())
+            raise UserError(f"covariance: {next(filter(None, (*reasons, *m.why.values())))}")
+        names = [name for name, _ in signals_of(cells[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
         order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
         mean: Values = np.asarray(m.rows.mean[:, order])
-        apart = mean - mean.mean(-1, keepdims=True)
-        between = np.einsum("tis,tjs->tij", apart, apart) / apart.shape[-1]
+        deviation = mean - mean.mean(-1, keepdims=True)
+        between = np.einsum("tis,tjs->tij", deviation, deviation) / deviation.shape[-1]
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
-        return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
+        return Joint(cells[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
 
-    def solved(self, cells: list[Cell], recorded: str = "", points: int = 0) -> Iterator[CellMoments]:
+    def solved(self, cells: list[Cell], quantity: str = "", points: int = 0) -> Iterator[CellMoments]:
         """Yield the moments of cells; if there are many, for one observer at a time."""
         with config.float64():
-            asked = MomentRequest(self.grid.study.root_seed, self.schedules, recorded, points)
-            for m in solve(plan_cells(cells, recorded == COVARIANCE), asked):
+            request = MomentRequest(self.grid.study.root_seed, self.schedules, quantity, points)
+            for m in solve(plan_cells(cells, quantity == COVARIANCE), request):
                 yield m._replace(why={label: exactness.refusal(m, label) for label in m.signals})
 
     def all_rows(self, cells: list[Cell]) -> Iterator[dict[str, object]]:
@@ -136,14 +136,14 @@ class Exact:
             rows |= about | {"signal": names[signal], "metric": METRICS[metric], "unit": units[signal, metric]}
             yield {name: rows[name] for name in order}
 
-    def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
+    def _select(self, scenario: str | None, cell: int | None) -> list[Cell]:
         scenarios = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
         if scenario is not None and scenario not in scenarios:
             raise unknown("exact", "scenario of the study", scenario, scenarios)
-        chosen = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
-        if not chosen:
+        cells = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
+        if not cells:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
-        return chosen
+        return cells
 
 
 @lru_cache(256)

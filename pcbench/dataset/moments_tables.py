@@ -32,51 +32,53 @@ OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
 MOST = 1000  # cells of a study whose moments over time are kept
 WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
-SAID = 3  # refusals that are said
+MAX_REFUSALS = 3  # refusals that are said
 
 
-def make(target: storage.Target, owned: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
+def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Compute the exact results of a study if they are missing; return whether it did, and `say` what is not exact."""
-    mark = of(owned)
-    there = load_exact_rows(target)
-    if there is not None and not owned.overwrite and parquet_io.metadata(there).get(OF) == mark:
+    mark = of(claim)
+    old_table = load_exact_rows(target)
+    if old_table is not None and not claim.overwrite and parquet_io.metadata(old_table).get(OF) == mark:
         return False
-    manifest.begin(target, owned)
+    manifest.begin(target, claim)
     for name in [n for n in storage.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
         storage.remove(target, name)
     from pcbench.dataset.moments_frames import (
         Exact,
     )  # with pandas, half a second that a study of runs does not wait for
 
-    exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
+    exact = Exact(Grid(claim.study, claim.cells), claim.study.schedules)
     parts: list[dict[str, object]] = []  # rows by column, of all cells
-    progress.begin("exact cells", len(owned.cells))
+    progress.begin("exact cells", len(claim.cells))
     with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are made while files wait for the disk
-        waiting: deque[Future[None]] = deque()
-        for name, table in _over_time(owned, exact, parts, progress):
-            waiting.append(threads.submit(storage.put_table, target, name, parquet_io.seal_table(table)))
-            if len(waiting) > 2 * WRITERS:
-                waiting.popleft().result()
-        for each in waiting:
-            each.result()
+        futures: deque[Future[None]] = deque()
+        for name, table in _over_time(claim, exact, parts, progress):
+            futures.append(threads.submit(storage.put_table, target, name, parquet_io.seal_table(table)))
+            if len(futures) > 2 * WRITERS:
+                futures.popleft().result()
+        for future in futures:
+            future.result()
     rows = columns.concat_columns(parts)
     reasons = np.asarray(rows["reason"])[np.asarray(rows["metric"]) == "mse"]
-    refused = list(dict.fromkeys(filter(None, reasons)))
-    for sentence in refused[:SAID]:
+    refusals = list(dict.fromkeys(filter(None, reasons)))
+    for sentence in refusals[:MAX_REFUSALS]:
         say(sentence)
-    if refused[SAID:]:
-        say(f"{target.name}: {len(refused) - SAID} more have no exact value; the column reason of stats shows why.")
+    if refusals[MAX_REFUSALS:]:
+        say(
+            f"{target.name}: {len(refusals) - MAX_REFUSALS} more have no exact value; the column reason of stats shows why."
+        )
     table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})
     storage.put_table(target, NAME, parquet_io.seal_table(table))
     return True
 
 
 def _over_time(
-    owned: StudyClaim, exact: "Exact", rows: list[dict[str, object]], progress: Progress
+    claim: StudyClaim, exact: "Exact", rows: list[dict[str, object]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets the rows of every cell, by column."""
-    solved = exact.solved(owned.cells, "std" if len(owned.cells) <= MOST else "", POINTS)
-    for key, parts in itertools.groupby(solved, key=lambda m: m.planned.cell.key):
+    moments = exact.solved(claim.cells, "std" if len(claim.cells) <= MOST else "", POINTS)
+    for key, parts in itertools.groupby(moments, key=lambda m: m.planned.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
         for m in parts:
             rows += exact.rows(m)
@@ -99,44 +101,46 @@ def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:
     table = load_exact_rows(target)
     if table is None or not len(table):
         return {}
-    every = {name: column.combine_chunks() for name, column in zip(table.column_names, table.columns, strict=True)}
+    by_name = {name: column.combine_chunks() for name, column in zip(table.column_names, table.columns, strict=True)}
     lists = {
-        name: column.cast(pa.list_(pa.float64())) for name, column in every.items() if pa.types.is_list(column.type)
+        name: column.cast(pa.list_(pa.float64())) for name, column in by_name.items() if pa.types.is_list(column.type)
     }
-    table = columns.with_intervals(columns.table(every | lists))
-    codes, numbers = every["scenario"].dictionary_encode().indices.to_numpy(), every["cell"].to_numpy()
+    table = columns.with_intervals(columns.table(by_name | lists))
+    codes, numbers = by_name["scenario"].dictionary_encode().indices.to_numpy(), by_name["cell"].to_numpy()
     starts = np.flatnonzero(np.diff(codes, prepend=-1) | np.diff(numbers, prepend=-1)).tolist()
     parts = [table[start:stop] for start, stop in itertools.pairwise([*starts, len(table)])]
     return {(part["scenario"][0].as_py(), part["cell"][0].as_py()): part for part in parts}
 
 
-def select_simulations(target: storage.Target, owned: StudyClaim) -> StudyClaim:
+def select_simulations(target: storage.Target, claim: StudyClaim) -> StudyClaim:
     """Return the part of the study to simulate: all of it, nothing, or the observers without an exact number."""
-    if owned.study.evaluation == "runs":
-        return owned
-    if owned.study.evaluation == "exact":
-        return owned._replace(cells=[])
-    there = load_exact_rows(target)
-    rows = [] if there is None else there.select(["scenario", "cell", "observer", "method"]).to_pylist()
+    if claim.study.evaluation == "runs":
+        return claim
+    if claim.study.evaluation == "exact":
+        return claim._replace(cells=[])
+    table = load_exact_rows(target)
+    rows = [] if table is None else table.select(["scenario", "cell", "observer", "method"]).to_pylist()
     exact = {(row["scenario"], row["cell"], row["observer"]) for row in rows if row["method"] == "exact"}
-    left = [{o: given for o, given in c.options.items() if (*c.key, o) not in exact} for c in owned.cells]
-    return owned._replace(cells=[c._replace(options=o) for c, o in zip(owned.cells, left, strict=True) if o])
+    options = [{o: values for o, values in c.options.items() if (*c.key, o) not in exact} for c in claim.cells]
+    return claim._replace(cells=[c._replace(options=o) for c, o in zip(claim.cells, options, strict=True) if o])
 
 
 def pairs(rows: pa.Table) -> pa.Table:
     """Return rows of `pairs`: differences of the exact numbers of each cell whose schedules are not random."""
-    each: dict[tuple[object, ...], list[int]] = {}
+    groups: dict[tuple[object, ...], list[int]] = {}
     about = ("method", "n", "scenario", "cell", "signal", "metric")
-    for at, (method, n, *key) in enumerate(zip(*(rows[name].to_pylist() for name in about), strict=True)):
+    for i, (method, n, *key) in enumerate(zip(*(rows[name].to_pylist() for name in about), strict=True)):
         if method == "exact" and not n:
-            each.setdefault(tuple(key), []).append(at)
-    both = np.array([two for mine in each.values() for two in itertools.combinations(mine, 2)], np.int64).reshape(-1, 2)
-    a, b = (rows["mean"].to_numpy()[both[:, side]] for side in (0, 1))
-    apart, none = a - b, np.full(len(both), np.nan)
-    same = np.abs(apart) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
-    out: dict[str, Any] = {"mean_diff": apart, "se": np.zeros(len(both)), "ci_low": apart, "ci_high": apart}
-    out |= {"prob_a_better": np.where(same, 0.5, np.nan), "p_value": none, "p_holm": none}
-    sides = [rows.take(pa.array(both[:, side])) for side in (0, 1)]
+            groups.setdefault(tuple(key), []).append(i)
+    index = np.array(
+        [pair for group in groups.values() for pair in itertools.combinations(group, 2)], np.int64
+    ).reshape(-1, 2)
+    a, b = (rows["mean"].to_numpy()[index[:, side]] for side in (0, 1))
+    diff, nan = a - b, np.full(len(index), np.nan)
+    is_tie = np.abs(diff) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
+    out: dict[str, Any] = {"mean_diff": diff, "se": np.zeros(len(index)), "ci_low": diff, "ci_high": diff}
+    out |= {"prob_a_better": np.where(is_tie, 0.5, np.nan), "p_value": nan, "p_holm": nan}
+    sides = [rows.take(pa.array(index[:, side])) for side in (0, 1)]
     for name in ("observer", "predicts_unknown_input", "certified"):
         out |= {f"{name}_{side}": part[name].combine_chunks() for side, part in zip("ab", sides, strict=True)}
     order = columns.pairs_order(columns.axes_of(rows.column_names))
@@ -150,7 +154,7 @@ def place(scenario: str, cell: int) -> str:
     return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
 
 
-def of(owned: StudyClaim) -> bytes:
+def of(claim: StudyClaim) -> bytes:
     """Return a digest of a study and of the releases in use; it is the same for all seeds, as exact numbers are."""
-    study = owned.study.model_copy(update={"first_seed": 0, "seeds": 1})
-    return f"{digest(study, owned.cells)} {sorted(provenance.versions().items())}".encode()
+    study = claim.study.model_copy(update={"first_seed": 0, "seeds": 1})
+    return f"{digest(study, claim.cells)} {sorted(provenance.versions().items())}".encode()

@@ -33,7 +33,7 @@ def open_result(out: str | Path) -> "Result":
         UserError: there is no finished study, or a file is damaged.
     """
     target = storage.target(str(out))
-    owned = manifest.load_manifest(target)
+    claim = manifest.load_manifest(target)
     if not close.is_closed(target, block_files.drop_overlaps(block_files.present(target))):
         for name in close.damaged_files(target):
             raise _damage_error(target, name)
@@ -41,7 +41,7 @@ def open_result(out: str | Path) -> "Result":
             f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
             f"{target.name}/study.toml --out {target.name}."
         )
-    result = Result(owned.study, target, out, Cost())
+    result = Result(claim.study, target, out, Cost())
     if (content := storage.get(target, FAIR)) is not None:
         if (table := parquet_io.unseal_table(content)) is None:
             raise _damage_error(target, FAIR)
@@ -142,8 +142,8 @@ class Result:
 
     @cached_property
     def _by_signal(self) -> "list[dict[tuple[str, str], pd.DataFrame]]":
-        each = (frame.groupby(["scenario", "signal"], sort=False) for frame in (self.stats, self.pairs))
-        return [{(str(key[0]), str(key[1])): part for key, part in groups} for groups in each]
+        frames = (frame.groupby(["scenario", "signal"], sort=False) for frame in (self.stats, self.pairs))
+        return [{(str(key[0]), str(key[1])): part for key, part in groups} for groups in frames]
 
     def signals(self, scenario: str) -> list[str]:
         """Return the signals of a scenario with results, in their order."""
@@ -161,8 +161,8 @@ class Result:
         """Return some metrics of the runs of one grid point, with the columns observer, seed, signal and diverged."""
         import pyarrow.dataset as ds
 
-        here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
-        rows = self._read(["observer", "seed", "signal", "diverged", *metrics], here)
+        condition = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
+        rows = self._read(["observer", "seed", "signal", "diverged", *metrics], condition)
         order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
         rows["rank"] = rows.observer.astype(str).map(order)
         return rows.sort_values(["rank", "seed"], kind="stable", ignore_index=True).drop(columns="rank")
@@ -172,11 +172,11 @@ class Result:
         reasons: dict[str, list[str]] = {}
         for observer, c in self.provenance.get("certificates", {}).get(scenario, {}).items():
             if is_certified(c) is False:
-                why = c["inequality"].removeprefix("none: ")
-                why += "" if c["margin"] is None else f" has margin {c['margin']:.3g}"
-                reasons.setdefault(why, []).append(observer)
-        each = [f"{', '.join(observers)} ({why})" for why, observers in reasons.items()]
-        return f"{UNPROVEN} the gains of {'; '.join(each)}." if each else ""
+                reason = c["inequality"].removeprefix("none: ")
+                reason += "" if c["margin"] is None else f" has margin {c['margin']:.3g}"
+                reasons.setdefault(reason, []).append(observer)
+        parts = [f"{', '.join(observers)} ({reason})" for reason, observers in reasons.items()]
+        return f"{UNPROVEN} the gains of {'; '.join(parts)}." if parts else ""
 
     def _read(self, columns: list[str] | None = None, where: "ds.Expression | None" = None) -> "pd.DataFrame":
         """Rows of the blocks, with every page checked; raise UserError with the file's name if one is damaged.
@@ -192,12 +192,12 @@ class Result:
         files, base = [f"{target.root}/{block.name}" for block in blocks], f"{target.root}/runs"
         try:
             form = {"filesystem": target.fs, "format": kind, "partitioning": "hive", "partition_base_dir": base}
-            every = ds.dataset(files, **form)
-            one_each = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
-            kinds = [pq.read_schema(file, filesystem=target.fs) for file in one_each.values()]
-            if any(set(each.names) - set(every.schema.names) for each in kinds):
-                every = ds.dataset(files, schema=pa.unify_schemas([every.schema, *kinds]), **form)
-            return every.to_table(columns, filter=where).to_pandas()
+            dataset = ds.dataset(files, **form)
+            first_files = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
+            schemas = [pq.read_schema(file, filesystem=target.fs) for file in first_files.values()]
+            if any(set(schema.names) - set(dataset.schema.names) for schema in schemas):
+                dataset = ds.dataset(files, schema=pa.unify_schemas([dataset.schema, *schemas]), **form)
+            return dataset.to_table(columns, filter=where).to_pandas()
         except (pa.ArrowException, OSError) as error:
             for block in blocks:
                 block_files.read(target, block)

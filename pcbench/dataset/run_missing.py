@@ -49,69 +49,69 @@ class Sizes(NamedTuple):
     memory: float = float("inf")  # bytes that results may take at a time
 
 
-def everything(owned: StudyClaim, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
+def required_seeds(claim: StudyClaim, blocks: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
     """Return the required seeds of a cell: those of the study, and any further ones that one of its observers has.
 
     `more` gives a minimum number of seeds for some cells, by their digest.
     """
-    named = seed_range(owned.study.first_seed, owned.study.seeds)
-    stops = {c.key: named.first + max(more[c.digest], named.many) for c in owned.cells if c.digest in more}
-    for b in there:
-        stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), named.stop), b.seeds.stop)
-    return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
+    base = seed_range(claim.study.first_seed, claim.study.seeds)
+    stops = {c.key: base.first + max(more[c.digest], base.many) for c in claim.cells if c.digest in more}
+    for b in blocks:
+        stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), base.stop), b.seeds.stop)
+    return lambda cell: Seeds(base.first, stops.get(cell.key, base.stop))
 
 
-def valid_blocks(target: storage.Target, owned: StudyClaim, say: Callable[[str], None]) -> list[Block]:
+def valid_blocks(target: storage.Target, claim: StudyClaim, say: Callable[[str], None]) -> list[Block]:
     """Return the valid blocks; report and remove damaged and duplicate ones."""
-    observers = {(cell.scenario.name, observer) for cell in owned.cells for observer in cell.options}
-    digests, there = manifest.digests(owned), block_files.present(target)
-    for b in there:
+    observers = {(cell.scenario.name, observer) for cell in claim.cells for observer in cell.options}
+    digests, blocks = manifest.digests(claim), block_files.present(target)
+    for b in blocks:
         if (b.scenario, b.cell) not in digests or (b.scenario, b.observer) not in observers:
             raise UserError(
                 f"{target.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
             )
     with ThreadPoolExecutor() as pool:
-        each = pool.map(lambda b: block_files.damage(target, b, digests[b.scenario, b.cell]), there)
-        damages = dict(zip(there, each, strict=True))
+        reasons = pool.map(lambda b: block_files.damage(target, b, digests[b.scenario, b.cell]), blocks)
+        damages = dict(zip(blocks, reasons, strict=True))
     for b, damage in damages.items():
         if damage == block_files.OTHER_SCHEMA:
             raise UserError(
                 f"{target.name}/{b.name}: {damage}, expected version {SCHEMA}; give a new folder with --out, or start over "
                 "with --overwrite."
             )
-    kept = block_files.drop_overlaps(b for b, damage in damages.items() if not damage)
-    stays = set(kept)
+    valid = block_files.drop_overlaps(b for b, damage in damages.items() if not damage)
+    valid_set = set(valid)
     for b, damage in damages.items():
         if damage:
             say(f"{target.name}/{b.name}: is damaged ({damage}); it is computed again.")
-        elif b not in stays:
+        elif b not in valid_set:
             say(f"{target.name}/{b.name}: holds seeds that another block holds; it is removed.")
-        if b not in stays:
+        if b not in valid_set:
             storage.remove(target, b.name)
-    old = block_files.about_block(target, kept[0]).get("versions", {}) if kept else {}
-    if kept and old != (new := provenance.versions()):
-        changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
-        say(f"{target.name}: was begun with {changed}; the last bits of new runs may differ.")
-    return kept
+    old = block_files.about_block(target, valid[0]).get("versions", {}) if valid else {}
+    if valid and old != (new := provenance.versions()):
+        changes = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
+        say(f"{target.name}: was begun with {changes}; the last bits of new runs may differ.")
+    return valid
 
 
-def missing_seeds(owned: StudyClaim, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
+def missing_seeds(claim: StudyClaim, blocks: list[Block], seeds_of: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
     """Return the ranges of seeds that no block contains."""
-    have = block_files.series(there)
+    by_cell = block_files.series(blocks)
     out: Gaps = {}
-    for cell in owned.cells:
+    for cell in claim.cells:
         for o in cell.options:
-            if ranges := gaps((b.seeds for b in have.get((*cell.key, o), ())), wanted(cell), size(cell)):
+            if ranges := gaps((b.seeds for b in by_cell.get((*cell.key, o), ())), seeds_of(cell), size(cell)):
                 out.setdefault(cell.key, {})[o] = ranges
     return out
 
 
-def count_missing(target: storage.Target, owned: StudyClaim) -> int:
+def count_missing(target: storage.Target, claim: StudyClaim) -> int:
     """Return the number of runs of a study without a block."""
-    there = block_files.present(target)
+    blocks = block_files.present(target)
     return runs_in(
         missing_seeds(
-            moments_tables.select_simulations(target, owned), there, everything(owned, there), lambda cell: 2**40
+            moments_tables.select_simulations(target, claim), blocks, required_seeds(claim, blocks), lambda cell: 2**40
         )
     )
 
@@ -124,24 +124,24 @@ def runs_in(todo: Gaps) -> int:
 class RunPlan(NamedTuple):
     """The missing runs, with designed and checked gains. Drafts that are not kept are laid out again for their tasks."""
 
-    owned: StudyClaim
+    claim: StudyClaim
     todo: Gaps
-    wanted: SeedsOf
-    ask: memo.Cache  # has the designs
+    seeds_of: SeedsOf
+    cache: memo.Cache  # has the designs
     room: padding.Capacity = padding.Capacity()
-    kept: tuple[Plan, ...] = ()  # drafts of the first cells
+    first_drafts: tuple[Plan, ...] = ()  # drafts of the first cells
     cells: int = 0  # how many cells those are
 
     def drafts(self, skip: int = 0) -> Iterator[Plan]:
         """Lay out all cells except the first `skip`."""
-        many = lambda cell: self.wanted(cell).many  # noqa: E731
-        return planning.drafts(self.owned.cells, self.todo, self.ask, many, skip, split_expensive=True)
+        count = lambda cell: self.seeds_of(cell).many  # noqa: E731
+        return planning.drafts(self.claim.cells, self.todo, self.cache, count, skip, split_expensive=True)
 
     def programs(self) -> dict[Hashable, list[Plan]]:
         """Return the drafts that are kept, by the key of their compiled program."""
         out: dict[Hashable, list[Plan]] = {}
-        for p in self.kept:
-            out.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.ask)), []).append(p)
+        for p in self.first_drafts:
+            out.setdefault(padding.key_of(padding.fit_to_capacity(p, self.room, self.cache)), []).append(p)
         return out
 
     def tasks(self, programs: dict[Hashable, list[Plan]]) -> Iterator[task.Task]:
@@ -150,31 +150,31 @@ class RunPlan(NamedTuple):
         Of the drafts that are kept, those of one program are consecutive, so it is compiled once. The first task of a
         program comes after one that compiles it and estimates the time of a call (see `interleave`).
         """
-        cells = {cell.key: cell for cell in self.owned.cells}
-        begun: set[Hashable] = set()
+        cells = {cell.key: cell for cell in self.claim.cells}
+        timed_programs: set[Hashable] = set()
         for expensive in sorted(
-            {cells[key].entry(label).expensive for key, mine in self.todo.items() for label in mine}
+            {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
         ):
             rest = self.drafts(self.cells) if self.cells < len(cells) else ()
-            yield from interleave(self._tasks(chain(*programs.values(), rest), expensive, begun))
+            yield from interleave(self._tasks(chain(*programs.values(), rest), expensive, timed_programs))
 
-    def _tasks(self, drafts: Iterable[Plan], expensive: bool, begun: set[Hashable]) -> Iterator[task.Task]:
+    def _tasks(self, drafts: Iterable[Plan], expensive: bool, timed_programs: set[Hashable]) -> Iterator[task.Task]:
         """Yield the tasks of expensive observers, or of the others; the first task of a program estimates its time."""
         for p in drafts:
             ranges = {
-                label: each
-                for label, each in self.todo.get(p.cell.key, {}).items()
+                label: seeds
+                for label, seeds in self.todo.get(p.cell.key, {}).items()
                 if label in p.labels and p.cell.entry(label).expensive == expensive
             }
             if not ranges:
                 continue
-            fitted = padding.fit_to_capacity(p, self.room, self.ask)
-            program = padding.key_of(fitted)
-            for each in task.tasks(fitted, p.layout.width, ranges):
-                if program not in begun:
-                    begun.add(program)
-                    yield each._replace(timed=True)
-                yield each
+            plan = padding.fit_to_capacity(p, self.room, self.cache)
+            program = padding.key_of(plan)
+            for t in task.tasks(plan, p.layout.width, ranges):
+                if program not in timed_programs:
+                    timed_programs.add(program)
+                    yield t._replace(timed=True)
+                yield t
 
 
 def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
@@ -182,45 +182,45 @@ def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.
 
     So two programs are compiled at the same time, although all tasks of a program wait for its compilation.
     """
-    waiting: deque[task.Task] = deque()
-    for each in tasks:
-        if each.timed:
-            yield each
-            yield from waiting
-            waiting.clear()
+    queue: deque[task.Task] = deque()
+    for t in tasks:
+        if t.timed:
+            yield t
+            yield from queue
+            queue.clear()
         else:
-            waiting.append(each)
-            if len(waiting) > ahead:
-                yield waiting.popleft()
-    yield from waiting
+            queue.append(t)
+            if len(queue) > ahead:
+                yield queue.popleft()
+    yield from queue
 
 
-def plan_runs(owned: StudyClaim, todo: Gaps, wanted: SeedsOf) -> RunPlan:
+def plan_runs(claim: StudyClaim, todo: Gaps, seeds_of: SeedsOf) -> RunPlan:
     """Design the missing runs, and determine the buffer sizes; raise UserError if a design fails.
 
     Drafts are kept, in the order of their cells, up to DRAFTS bytes. What several share counts once.
     """
-    plan, room, left = RunPlan(owned, todo, wanted, memo.new_cache()), padding.Capacity(), DRAFTS
-    kept: list[Plan] = []
-    seen: set[int] = set()  # arrays, all alive in drafts that are kept
+    plan, room, budget = RunPlan(claim, todo, seeds_of, memo.new_cache()), padding.Capacity(), DRAFTS
+    drafts: list[Plan] = []
+    ids: set[int] = set()  # arrays, all alive in drafts that are kept
     for p in padding.check_drafts(plan.drafts()):
         room = padding.larger(room, padding.room_of(p))
-        if left >= 0:
-            new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in seen}
-            left -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())
-            kept.append(p)
-            seen.update(new)
-    if left < 0:  # the last cell may lack drafts: a closed loop has one for each observer
-        kept = [p for p in kept if p.cell.key != kept[-1].cell.key]
-    return plan._replace(room=room, kept=tuple(kept), cells=len({p.cell.key for p in kept}))
+        if budget >= 0:
+            new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in ids}
+            budget -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())
+            drafts.append(p)
+            ids.update(new)
+    if budget < 0:  # the last cell may lack drafts: a closed loop has one for each observer
+        drafts = [p for p in drafts if p.cell.key != drafts[-1].cell.key]
+    return plan._replace(room=room, first_drafts=tuple(drafts), cells=len({p.cell.key for p in drafts}))
 
 
 def run_blocks(
     target: storage.Target,
-    owned: StudyClaim,
-    there: list[Block],
+    claim: StudyClaim,
+    blocks: list[Block],
     execute: Executor,
-    wanted: SeedsOf,
+    seeds_of: SeedsOf,
     sizes: Sizes,
     progress: Progress = SILENT,
     say: Callable[[str], None] = lambda sentence: None,
@@ -229,49 +229,49 @@ def run_blocks(
 
     Gains are checked before anything is written. `say` gets a sentence for each program with long calls.
     """
-    todo = missing_seeds(owned, there, wanted, partial(_block_size, owned, wanted, sizes))
+    todo = missing_seeds(claim, blocks, seeds_of, partial(_block_size, claim, seeds_of, sizes))
     if not todo:
         storage.clear(target)  # of one that was killed while it closed the tables, too
-        manifest.renew(target, owned)
+        manifest.renew(target, claim)
         return Cost()
-    _require_simulated(owned, todo)
-    cost, took = Cost(), Stopwatch()
-    with took("planning"):
-        plan = plan_runs(owned, todo, wanted)
+    _require_simulated(claim, todo)
+    cost, stopwatch = Cost(), Stopwatch()
+    with stopwatch("planning"):
+        plan = plan_runs(claim, todo, seeds_of)
         programs = plan.programs()
-    manifest.begin(target, owned)
+    manifest.begin(target, claim)
     progress.begin("runs", runs_in(todo))
     progress.note(_activity(0, len(programs)))
-    work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
+    work = partial(task.compute, task.Work(target.uri, claim.study.name, claim.study.root_seed, sizes.memory))
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
-    compiled = 0
-    for report in execute(work, took.each("planning", plan.tasks(programs))):
+    n_compiled = 0
+    for report in execute(work, stopwatch.each("planning", plan.tasks(programs))):
         _require_versions(report)
         cost = add_costs(cost, report.cost)
-        compiled += report.call is not None
-        progress.note(_activity(compiled, len(programs)))
+        n_compiled += report.call is not None
+        progress.note(_activity(n_compiled, len(programs)))
         if report.call:
             if report.call.seconds > LONG:
                 say(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.cost.runs)
     storage.sync(target, {str(Path(b.name).parent) for b in new})
-    return cost._replace(planning_seconds=took.seconds["planning"])
+    return cost._replace(planning_seconds=stopwatch.seconds["planning"])
 
 
-def _activity(compiled: int, programs: int) -> str:
+def _activity(n_compiled: int, programs: int) -> str:
     """Return a text of the current activity, with the number of finished programs and of all."""
-    return f"{COMPILING} program {compiled + 1} of {programs}" if compiled < programs else "simulating"
+    return f"{COMPILING} program {n_compiled + 1} of {programs}" if n_compiled < programs else "simulating"
 
 
-def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
+def _require_simulated(claim: StudyClaim, todo: Gaps) -> None:
     """Raise UserError if missing runs need the estimates of an external program."""
-    for cell in owned.cells:
+    for cell in claim.cells:
         for label, ranges in todo.get(cell.key, {}).items():
             if cell.entry(label).elsewhere:
-                many = sum(seeds.many for seeds in ranges)
+                n_runs = sum(seeds.many for seeds in ranges)
                 raise UserError(
-                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it is an "
+                    f"{cell.scenario.name}: got no estimates of {label} for {n_runs} runs, expected them scored, as it is an "
                     "external program; write their measurements with pcbench external prepare, estimate the states, and score "
                     "them with pcbench external score, or leave the observer out."
                 )
@@ -279,10 +279,10 @@ def _require_simulated(owned: StudyClaim, todo: Gaps) -> None:
 
 def _require_versions(report: task.Report) -> None:
     """Raise UserError if a worker has other releases than this process, because the last bits may differ."""
-    here, there = provenance.versions(), report.versions
-    if there != here:
-        theirs = ", ".join(f"{k} {v}" for k, v in there.items() if here.get(k) != v)
-        ours = ", ".join(f"{k} {v}" for k, v in here.items() if there.get(k) != v)
+    local, remote = provenance.versions(), report.versions
+    if remote != local:
+        theirs = ", ".join(f"{k} {v}" for k, v in remote.items() if local.get(k) != v)
+        ours = ", ".join(f"{k} {v}" for k, v in local.items() if remote.get(k) != v)
         raise UserError(
             f"--dask: a worker has {theirs}, expected {ours} as here; install the same releases everywhere."
         )
@@ -291,23 +291,25 @@ def _require_versions(report: task.Report) -> None:
 def _announcement(scenario: str, call: task.Call, todo: Gaps) -> str:
     """Return a sentence on long calls: the time of one, and their number."""
     seconds, width, labels = call
-    each = [max((runs_in({key: {o: mine[o]}}) for o in labels if o in mine), default=0) for key, mine in todo.items()]
+    counts = [
+        max((runs_in({key: {o: ranges[o]}}) for o in labels if o in ranges), default=0) for key, ranges in todo.items()
+    ]
     time = f"{seconds / 60:.0f} min" if seconds < 2 * HOUR else f"{seconds / HOUR:.1f} h"
     return (
         f"{scenario}: a call of {', '.join(labels)}, of up to {width} runs, takes about {time} or more; calls to do: "
-        f"{sum(-(-many // width) for many in each)}. Runs are written at the end of their call."
+        f"{sum(-(-n // width) for n in counts)}. Runs are written at the end of their call."
     )
 
 
-def _block_size(owned: StudyClaim, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
+def _block_size(claim: StudyClaim, seeds_of: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds per block: up to four calls, with enough tasks for all devices, and more if there would be too many files."""
     if sizes.block_size:
         return int(max(min(sizes.block_size, sizes.memory / task.bytes_of_a_block(cell, 1)), 1))
-    many, pairs = wanted(cell).many, sum(len(c.options) for c in owned.cells)
+    n_seeds, pairs = seeds_of(cell).many, sum(len(c.options) for c in claim.cells)
     size = width = planning.width(cell)
     while task.bytes_of_a_block(cell, 2 * size) < sizes.memory:
-        few = size < CALLS * width and len(owned.cells) * many / (2 * size) >= TASKS
-        if not few and pairs * many / size <= MANY_FILES:
+        is_small = size < CALLS * width and len(claim.cells) * n_seeds / (2 * size) >= TASKS
+        if not is_small and pairs * n_seeds / size <= MANY_FILES:
             break
         size *= 2
     return size

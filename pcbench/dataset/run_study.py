@@ -59,38 +59,43 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
     how = (how or How()).checked()
     goal, say, progress = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say, how.progress
     with config.float64(), ExitStack() as stack:
-        start, began = perf_counter(), datetime.now(UTC)
+        start, start_time = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
         target = storage.target(keep.name if keep else str(out))
-        owned = manifest.claim(target, grid, how.overwrite)
-        adaptive_seeds.check(goal, owned)
+        claim = manifest.claim(target, grid, how.overwrite)
+        adaptive_seeds.check(goal, claim)
         sizes = run_missing.Sizes(how.block_size, executors.share(how.memory, how.dask, how.workers, how.devices))
         run_tasks = stack.enter_context(
             executors.dask(how.dask, how.workers) if how.dask else executors.local_executor(how.devices)
         )
-        there = [] if owned.overwrite else run_missing.valid_blocks(target, owned, say)
+        blocks = [] if claim.overwrite else run_missing.valid_blocks(target, claim, say)
         cost, exact_start = Cost(), perf_counter()
-        if grid.study.evaluation != "runs" and moments_tables.make(target, owned, say, progress):
-            owned, there = owned._replace(overwrite=False), block_files.drop_overlaps(block_files.present(target))
+        if grid.study.evaluation != "runs" and moments_tables.make(target, claim, say, progress):
+            claim, blocks = claim._replace(overwrite=False), block_files.drop_overlaps(block_files.present(target))
             cost = Cost(exact_seconds=perf_counter() - exact_start)
-        left = moments_tables.select_simulations(target, owned)
-        wanted = run_missing.everything(left, there, how.more)
-        cost = add_costs(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
-        for wanted in adaptive_seeds.rounds(goal, target, left, say):
-            there = block_files.drop_overlaps(block_files.present(target))
-            cost = add_costs(cost, run_missing.run_blocks(target, left, there, run_tasks, wanted, sizes, progress, say))
-        there = block_files.drop_overlaps(block_files.present(target))
-        if cost.runs or not close.is_closed(target, there):
+        simulations = moments_tables.select_simulations(target, claim)
+        seeds_of = run_missing.required_seeds(simulations, blocks, how.more)
+        cost = add_costs(
+            cost, run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+        )
+        for seeds_of in adaptive_seeds.rounds(goal, target, simulations, say):
+            blocks = block_files.drop_overlaps(block_files.present(target))
+            cost = add_costs(
+                cost, run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+            )
+        blocks = block_files.drop_overlaps(block_files.present(target))
+        if cost.runs or not close.is_closed(target, blocks):
             progress.note("statistics")
-            closing = perf_counter()
-            tables = close.closing_tables(target, owned, there)
+            closing_start = perf_counter()
+            tables = close.closing_tables(target, claim, blocks)
             seconds = {"wall_seconds": perf_counter() - start, "compile_seconds": cost.compile_seconds}
             seconds |= {name: getattr(cost, name) for name in cost._fields[2:]}
-            seconds["closing_seconds"] = perf_counter() - closing
-            about = {"started": began.isoformat(timespec="seconds"), "runs_added": cost.runs, "until_se": how.until_se}
+            seconds["closing_seconds"] = perf_counter() - closing_start
+            started = start_time.isoformat(timespec="seconds")
+            about = {"started": started, "runs_added": cost.runs, "until_se": how.until_se}
             about |= {name: round(value, 3) for name, value in seconds.items()}
-            close.close(target, owned, tables, about)
+            close.close(target, claim, tables, about)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)
-    return Result(owned.study, target, where, cost, keep)
+    return Result(claim.study, target, where, cost, keep)

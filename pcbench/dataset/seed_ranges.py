@@ -19,9 +19,9 @@ class Seeds(NamedTuple):
         return f"{self.first}:{self.stop}"
 
 
-def seed_range(first: int, many: int) -> Seeds:
+def seed_range(first: int, count: int) -> Seeds:
     """Return the range of a number of seeds from the first one on."""
-    return Seeds(first, first + many)
+    return Seeds(first, first + count)
 
 
 def common(a: Seeds, b: Seeds) -> Seeds:
@@ -40,12 +40,12 @@ def merge_ranges(ranges: Iterable[Seeds]) -> list[Seeds]:
     return out
 
 
-def gaps(held: Iterable[Seeds], wanted: Seeds, size: int) -> list[Seeds]:
+def gaps(ranges: Iterable[Seeds], span: Seeds, size: int) -> list[Seeds]:
     """Return the ranges of the wanted seeds that no held range contains, cut at multiples of `size`."""
-    out, at = [], wanted.first
-    for seeds in [*sorted(held), Seeds(wanted.stop, wanted.stop)]:
-        while at < min(seeds.first, wanted.stop):
-            out.append(Seeds(at, min(seeds.first, wanted.stop, (at // size + 1) * size)))
+    out, at = [], span.first
+    for seeds in [*sorted(ranges), Seeds(span.stop, span.stop)]:
+        while at < min(seeds.first, span.stop):
+            out.append(Seeds(at, min(seeds.first, span.stop, (at // size + 1) * size)))
             at = out[-1].stop
         at = max(at, seeds.stop)
     return out

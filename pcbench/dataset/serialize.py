@@ -25,15 +25,15 @@ def pack(p: Plan) -> bytes | Plan:
     without a name. Such a function is stored as its position among the objects that the code makes.
     """
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
-    proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
+    certificates = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
     cell = p.cell._replace(scenario=p.cell.scenario.having(own={}, **plain), options={}, own={})
-    own = {("observer", o): mine for o, mine in p.cell.own.items() if o in p.labels}
-    own |= {(kind, ""): mine for kind, mine in p.cell.scenario.own.items()}
+    plugins = {("observer", o): plugin for o, plugin in p.cell.own.items() if o in p.labels}
+    plugins |= {(kind, ""): plugin for kind, plugin in p.cell.scenario.own.items()}
     numbers = io.BytesIO()
     try:
-        _Pickler(numbers, own).dump(p._replace(cell=cell, layout=layout, certificates=proofs))
-        return pickle.dumps(({where: mine.code for where, mine in own.items()}, numbers.getvalue()))
+        _Pickler(numbers, plugins).dump(p._replace(cell=cell, layout=layout, certificates=certificates))
+        return pickle.dumps(({key: plugin.code for key, plugin in plugins.items()}, numbers.getvalue()))
     except (pickle.PicklingError, AttributeError):
         return p
 
@@ -46,22 +46,22 @@ def unpack(parcel: bytes | Plan) -> Plan:
     if isinstance(parcel, Plan):
         return parcel
     codes, numbers = pickle.loads(parcel)
-    own = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
-    p: Plan = _Unpickler(io.BytesIO(numbers), own).load()
-    s = p.cell.scenario.having(own={kind: mine for (kind, o), mine in own.items() if not o})
-    cell = p.cell._replace(scenario=s, own={o: mine for (_, o), mine in own.items() if o})
+    plugins = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
+    p: Plan = _Unpickler(io.BytesIO(numbers), plugins).load()
+    s = p.cell.scenario.having(own={kind: plugin for (kind, o), plugin in plugins.items() if not o})
+    cell = p.cell._replace(scenario=s, own={o: plugin for (_, o), plugin in plugins.items() if o})
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
-    each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
+    observers = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = plants.entry_of(s).plant, loop_setup.controller(cell)
-    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=each, controller=law))
+    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=observers, controller=law))
 
 
 class _Pickler(pickle.Pickler):
     """Writes a function without a name, which a user's code has made, as its position among these."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
+    def __init__(self, file: io.BytesIO, plugins: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
-        self.numbers = {id(f): i for i, f in enumerate(_nameless(own))}
+        self.numbers = {id(f): i for i, f in enumerate(_nameless(plugins))}
 
     def persistent_id(self, x: object) -> int | None:
         return self.numbers.get(id(x))
@@ -70,24 +70,24 @@ class _Pickler(pickle.Pickler):
 class _Unpickler(pickle.Unpickler):
     """Reads the functions without a name again."""
 
-    def __init__(self, file: io.BytesIO, own: Mapping[tuple[str, str], object]) -> None:
+    def __init__(self, file: io.BytesIO, plugins: Mapping[tuple[str, str], object]) -> None:
         super().__init__(file)
-        self.functions = _nameless(own)
+        self.functions = _nameless(plugins)
 
     def persistent_load(self, number: int) -> FunctionType:
         return self.functions[number]
 
 
-def _nameless(own: Mapping[tuple[str, str], object]) -> list[FunctionType]:
+def _nameless(plugins: Mapping[tuple[str, str], object]) -> list[FunctionType]:
     """The functions in the objects of a user's code that cannot be found by name, in a fixed order."""
-    seen: set[int] = set()
-    return [f for where in sorted(own) for f in _functions(own[where], seen) if "<" in f.__qualname__]
+    ids: set[int] = set()
+    return [f for key in sorted(plugins) for f in _functions(plugins[key], ids) if "<" in f.__qualname__]
 
 
-def _functions(x: object, seen: set[int]) -> Iterator[FunctionType]:
-    if id(x) in seen or isinstance(x, type | ModuleType):
+def _functions(x: object, ids: set[int]) -> Iterator[FunctionType]:
+    if id(x) in ids or isinstance(x, type | ModuleType):
         return
-    seen.add(id(x))
+    ids.add(id(x))
     parts: Iterable[object] = ()
     if isinstance(x, FunctionType):
         yield x
@@ -102,4 +102,4 @@ def _functions(x: object, seen: set[int]) -> Iterator[FunctionType]:
     elif hasattr(x, "__dict__"):
         parts = [vars(x)]
     for part in parts:
-        yield from _functions(part, seen)
+        yield from _functions(part, ids)

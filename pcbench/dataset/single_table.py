@@ -73,9 +73,9 @@ def trace_table(frame: "pd.DataFrame", signals: tuple[tuple[str, str], ...]) -> 
         about["meaning"] = meaning or (
             "input held over the tick" if name[0] == "u" else "newest arrived measurement, held"
         )
-        for what in ("predicts_unknown_input", "certified") if "." in name else ():
-            known = frame.attrs.get(what, {}).get(name.partition(".")[0])
-            about |= {} if known is None else {what: str(known).lower()}
+        for key in ("predicts_unknown_input", "certified") if "." in name else ():
+            value = frame.attrs.get(key, {}).get(name.partition(".")[0])
+            about |= {} if value is None else {key: str(value).lower()}
         fields.append(pa.field(name, pa.float64(), metadata=about))
     schema = pa.schema(fields, metadata={"pcbench.schema": SCHEMA})
     return pa.Table.from_pandas(frame, schema=schema, preserve_index=False)

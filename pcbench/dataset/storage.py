@@ -85,10 +85,10 @@ def create(path: str | Path) -> int:
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
 
 
-def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
+def put(target: Target, name: str, content: bytes | pa.Buffer, durable: bool = True) -> None:
     """Write bytes under a name below the target, completely or not at all; the target must exist.
 
-    If a file is not `lasting`, a power failure before `sync` may remove it, but never leaves a part of it.
+    If a file is not `durable`, a power failure before `sync` may remove it, but never leaves a part of it.
     """
     path = Path(target.root, name)
     with refusals(f"{target.name}/{name}"), ending.uncut():
@@ -97,7 +97,7 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
                 stream.write(content)
             return
         _require_no_link(target, name.rpartition("/")[0])
-        beside, handle = _partial(target.root)
+        temporary, handle = _partial(target.root)
         try:
             with open(handle, "wb") as f:
                 f.write(content)
@@ -109,12 +109,12 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
                 if not folder.is_dir():
                     folder.mkdir(exist_ok=True)
                     _sync_folder(folder.parent)
-            os.replace(beside, path)
-            if lasting:
+            os.replace(temporary, path)
+            if durable:
                 _sync_folder(path.parent)
         finally:
             with suppress(OSError):
-                os.unlink(beside)
+                os.unlink(temporary)
 
 
 def _partial(root: str) -> tuple[str, int]:
@@ -137,17 +137,17 @@ def _sync_folder(folder: Path) -> None:
 
 def _require_no_link(target: Target, name: str) -> None:
     """Raise UserError if a name below a folder is a symbolic link, or its path contains one."""
-    for each in itertools.accumulate(name.split("/"), "{}/{}".format) if target.local and name else ():
-        if os.path.islink(f"{target.root}/{each}"):
+    for path in itertools.accumulate(name.split("/"), "{}/{}".format) if target.local and name else ():
+        if os.path.islink(f"{target.root}/{path}"):
             raise UserError(
-                f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
+                f"{target.name}/{path}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
                 "there what it points at."
             )
 
 
-def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
+def put_table(target: Target, name: str, table: pa.Table, durable: bool = True) -> None:
     """Write one Parquet file, after a check of its number of rows and its metadata."""
-    put(target, name, parquet_io.encode_table(table), lasting)
+    put(target, name, parquet_io.encode_table(table), durable)
 
 
 def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
@@ -157,33 +157,35 @@ def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
 
 def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
     """Put files that belong together: in a folder of this machine all of them, or none where this is stopped."""
-    beside = {name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" if target.local else name for name in files}
+    temporary = {
+        name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" if target.local else name for name in files
+    }
     root = Path(target.root)
     with ending.uncut():
         try:
             for name, content in files.items():
-                put(target, beside[name], content)
+                put(target, temporary[name], content)
             if target.local:
                 with refusals(target.name):
-                    rename_all([(root / beside[name], root / name) for name in files])
+                    rename_all([(root / temporary[name], root / name) for name in files])
         finally:
-            for each in beside.values() if target.local else ():
+            for path in temporary.values() if target.local else ():
                 with suppress(OSError):
-                    (root / each).unlink(missing_ok=True)
+                    (root / path).unlink(missing_ok=True)
 
 
 def rename_all(pairs: Iterable[tuple[Path, Path]]) -> None:
     """Rename files that belong together; an interrupt takes effect only afterwards."""
-    left = list(pairs)
+    queue = list(pairs)
     try:
         with ending.uncut():
-            while left:
-                os.replace(*left[0])
-                del left[0]
+            while queue:
+                os.replace(*queue[0])
+                del queue[0]
     except KeyboardInterrupt:
-        for beside, name in left:
+        for temporary, name in queue:
             with suppress(FileNotFoundError):  # it has its name already
-                os.replace(beside, name)
+                os.replace(temporary, name)
         raise
 
 
@@ -232,12 +234,12 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
         base = f"{target.root}/{under}" if under else target.root
         if target.local:
             _require_no_link(target, under)
-            every = dict(_files(base))
+            by_path = dict(_files(base))
         else:
             infos = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
-            every = {i.path: int(i.size or 0) for i in infos if i.is_file}
-        below = {path[len(target.root) + 1 :]: size for path, size in every.items()}
-        return {name: size for name, size in below.items() if not any(part[0] in "._" for part in name.split("/"))}
+            by_path = {i.path: int(i.size or 0) for i in infos if i.is_file}
+        by_name = {path[len(target.root) + 1 :]: size for path, size in by_path.items()}
+        return {name: size for name, size in by_name.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
 def _files(folder: str) -> Iterator[tuple[str, int]]:
@@ -281,36 +283,36 @@ def make(target: Target) -> None:
 def clear(target: Target) -> None:
     """Remove unfinished files of killed writers in a target."""
     with refusals(target.name):
-        for left in unfinished(target):
-            left.unlink(missing_ok=True)
+        for path in unfinished_files(target):
+            path.unlink(missing_ok=True)
 
 
-def unfinished(target: Target) -> list[Path]:
+def unfinished_files(target: Target) -> list[Path]:
     """Return unfinished files whose writers ended: dead processes of this machine, or silent for a day elsewhere."""
     return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _is_abandoned(p)] if target.local else []
 
 
 def _is_abandoned(path: Path) -> bool:
-    ours = UNFINISHED.fullmatch(path.name)
-    if ours and ours[1] == socket.gethostname():
+    match = UNFINISHED.fullmatch(path.name)
+    if match and match[1] == socket.gethostname():
         try:
-            os.kill(int(ours[2]), 0)
+            os.kill(int(match[2]), 0)
         except ProcessLookupError:
             return True
         except (PermissionError, OverflowError):
             return False
     with suppress(OSError):
-        return ours is not None and time() - path.stat().st_mtime > FORGOTTEN
+        return match is not None and time() - path.stat().st_mtime > FORGOTTEN
     return False
 
 
 @contextmanager
-def refusals(where: str, done: str = "written") -> Iterator[None]:
+def refusals(where: str, action: str = "written") -> Iterator[None]:
     """Convert an error of a file system to a UserError of one sentence."""
     try:
         yield
     except (OSError, pa.ArrowException) as error:
-        if done == "read":
+        if action == "read":
             raise UserError(f"{where}: cannot be read ({_reason(error)}); expected a file that you may read.") from None
         raise UserError(
             f"{where}: cannot be written ({_reason(error)}); every file already written is complete: make room or give "

@@ -24,16 +24,16 @@ COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py
 
 def keep(target: storage.Target, study: Study) -> None:
     """Copy the files of user-defined observers into a target, unless they are there."""
-    for mine in study._own.values():
-        for name, text in mine.code.files:
-            path = f"{user_code.FOLDER}/{mine.code.digest}/{name}"
+    for plugin in study._own.values():
+        for name, text in plugin.code.files:
+            path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
             if storage.text(target, path) != text:
                 storage.put(target, path, text)
 
 
-def files_in(target: storage.Target, there: TomlTable) -> Files:
+def files_in(target: storage.Target, table: TomlTable) -> Files:
     """Return the digests of the copies of users' code of the study with the text `there`."""
-    folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in there["resolved"].get("code", {}).items()}
+    folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in table["resolved"].get("code", {}).items()}
     return {
         name: {PurePosixPath(file).name: _digest(storage.text(target, file)) for file in storage.names(target, folder)}
         for name, folder in folders.items()
@@ -68,49 +68,49 @@ def copy(target: storage.Target, into: storage.Target) -> None:
             storage.put(into, name, text)
 
 
-def gate(target: storage.Target, there: TomlTable, run: bool) -> Gate:
+def gate(target: storage.Target, table: TomlTable, run: bool) -> Gate:
     """Return what the study with the text `there` may access: no files, and code only if it will be `run`.
 
     Without its code, an observer or controller has the options of the text, and a plant the facts of the text.
     Scenarios by MODULE:NAME are always refused, because the study of a dataset contains their tables.
     """
 
-    def load(named: PluginReference, where: str) -> UserPlugin:
-        if named.kind == SCENARIO:
+    def load(reference: PluginReference, where: str) -> UserPlugin:
+        if reference.kind == SCENARIO:
             raise UserError(
-                f"{where}: got '{short(named.reference)}', expected a table: the study of a dataset names no scenario by "
+                f"{where}: got '{short(reference.reference)}', expected a table: the study of a dataset names no scenario by "
                 "MODULE:NAME; run the study again from its own file into a new folder."
             )
-        module, name = user_code.split(named.reference, where)
-        kept, path = module.startswith(f"{user_code.FOLDER}/"), PurePosixPath(module)
-        if run and kept:
+        module, name = user_code.split(reference.reference, where)
+        is_copy, path = module.startswith(f"{user_code.FOLDER}/"), PurePosixPath(module)
+        if run and is_copy:
             code = user_code.Code(path.name, name, _files(target, path), path.parent.name)
-            return registry.of(named.kind, code, where)
+            return registry.of(reference.kind, code, where)
         if run:
-            return registry.load(named.kind, named.reference, where)
-        code = user_code.Code(path.name if kept else module, name, (), path.parent.name if kept else "")
+            return registry.load(reference.kind, reference.reference, where)
+        code = user_code.Code(path.name if is_copy else module, name, (), path.parent.name if is_copy else "")
         try:
-            return _absent(named, code, there["resolved"])
+            return _absent(reference, code, table["resolved"])
         except (LookupError, TypeError, ValueError, AttributeError, NameError, PydanticUserError):
             raise UserError(
-                f"{where}: got '{short(named.reference)}', whose facts and options are not in [resolved] as written, "
+                f"{where}: got '{short(reference.reference)}', whose facts and options are not in [resolved] as written, "
                 "expected them there; run the study again from its own file into a new folder."
             ) from None
 
     return Gate(load, files=False)
 
 
-def _absent(named: PluginReference, code: user_code.Code, resolved: TomlTable) -> UserPlugin:
+def _absent(reference: PluginReference, code: user_code.Code, resolved: TomlTable) -> UserPlugin:
     """A substitute for user-defined code that is not loaded, from the study's text."""
-    key = named.key if named.kind == "observer" else f"{named.kind} {code.name}"
+    key = reference.key if reference.kind == "observer" else f"{reference.kind} {code.name}"
     code = code._replace(digest=code.digest or resolved.get("code", {}).get(key, ""))
-    if named.kind == "plant":
-        return user_plants.absent(named.reference, code, resolved["plants"][named.reference])
-    if named.kind == "controller":
-        return user_controllers.absent(named.reference, code)
-    every = [resolved["options"].get(scenario, {}) for scenario in resolved["observers"]]
-    options: TomlTable = next((each[named.key] for each in every if named.key in each), {})
-    return user_observers.absent(named.reference, code, options)
+    if reference.kind == "plant":
+        return user_plants.absent(reference.reference, code, resolved["plants"][reference.reference])
+    if reference.kind == "controller":
+        return user_controllers.absent(reference.reference, code)
+    option_tables = [resolved["options"].get(scenario, {}) for scenario in resolved["observers"]]
+    options: TomlTable = next((t[reference.key] for t in option_tables if reference.key in t), {})
+    return user_observers.absent(reference.reference, code, options)
 
 
 def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:

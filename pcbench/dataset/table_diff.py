@@ -33,9 +33,11 @@ def difference(a: pa.Table, b: pa.Table) -> Difference | None:
     worst, size = Difference(0.0, 0.0), _sizes(a)
     for name, *numbers in unequal:
         u, v = map(np.nan_to_num, numbers)
-        apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
-        relative = apart / np.where(larger > 0, larger, 1)
-        worst = Difference(*map(max, worst, (float(relative.max()), float((apart / _in_unit_of(name, size)).max()))))
+        deviation, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
+        relative = deviation / np.where(larger > 0, larger, 1)
+        worst = Difference(
+            *map(max, worst, (float(relative.max()), float((deviation / _in_unit_of(name, size)).max())))
+        )
     return worst
 
 
@@ -61,10 +63,10 @@ def _unequal(a: pa.Table, b: pa.Table) -> list[tuple[str, Values, Values]] | Non
     """The columns of numbers in which two tables differ; None if anything else differs."""
     if a.schema.names != b.schema.names or len(a) != len(b):
         return None
-    both = [(name, a[name], b[name]) for name in a.schema.names if not a[name].equals(b[name])]
-    if not all(pa.types.is_floating(x.type) and x.null_count == y.null_count for _, x, y in both):
+    pairs = [(name, a[name], b[name]) for name in a.schema.names if not a[name].equals(b[name])]
+    if not all(pa.types.is_floating(x.type) and x.null_count == y.null_count for _, x, y in pairs):
         return None
-    return [(name, x.to_numpy(), y.to_numpy()) for name, x, y in both]
+    return [(name, x.to_numpy(), y.to_numpy()) for name, x, y in pairs]
 
 
 def _in_unit_of(name: str, size: Values) -> Values:

@@ -47,8 +47,8 @@ class Task(NamedTuple):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Serialize to bytes that another process can read, also with a user's code."""
-        planned = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
-        return Task, (planned, self.pieces, self.timed)
+        parcel = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
+        return Task, (parcel, self.pieces, self.timed)
 
     @property
     def runs(self) -> int:
@@ -76,17 +76,17 @@ class Report(NamedTuple):
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Simulate a task's seeds while it holds a device, then write its blocks; raise UserError if that fails."""
     with hold() as device:
-        began = perf_counter()
+        compute_start = perf_counter()
         p, results, program, call = simulate_task(work, task, device)
-        computing = perf_counter() - began
+        computing_seconds = perf_counter() - compute_start
     start, target = perf_counter(), storage.target(work.out)
     blocks = {} if call else dict(files(work, task, p, results))
     for name, table in blocks.items():
-        storage.put_table(target, name, table, lasting=False)  # `run_missing` sees to that, once for all
+        storage.put_table(target, name, table, durable=False)  # `run_missing` sees to that, once for all
     cost = timing.Cost(
         runs=task.runs,
         compiled={(config.name(), program.number): program.compile_seconds},
-        computing_seconds=computing,
+        computing_seconds=computing_seconds,
         writing_seconds=perf_counter() - start,
     )
     return Report(p.cell.key, cost, provenance.versions(), call)
@@ -101,7 +101,7 @@ def simulate_task(
     """
     with config.float64():
         p = unpack(task.parcel)
-        seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
+        seeds = np.concatenate([np.arange(*s) for s, _ in task.pieces])
         jobs = list(run_local.jobs(p, work.root_seed, seeds))
         program = runner.program(p.layout, jobs[0], device)
         if program.memory > work.memory:
@@ -120,8 +120,8 @@ def files(work: Work, task: Task, p: Plan, results: run_local.Results) -> Iterat
     for seeds, labels in task.pieces:
         common: dict[int, dict[str, pa.Array]] = {}
         for label in labels:
-            mine = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
-            yield block(work, p, label, mine, seeds, common)
+            part = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
+            yield block(work, p, label, part, seeds, common)
         at += seeds.many
 
 
@@ -137,8 +137,8 @@ def block(
 
     `common` stores the shared columns of blocks with these seeds, by their number of signals, and is extended here.
     """
-    c, many = p.certificates[label], len(results["mae"])
-    proof = {"inequality": c.inequality, "margin": float(c.margin) if isfinite(c.margin) else None}
+    c, n_signals = p.certificates[label], len(results["mae"])
+    certificate = {"inequality": c.inequality, "margin": float(c.margin) if isfinite(c.margin) else None}
     about = {
         "study": work.study,
         "root_seed": work.root_seed,
@@ -149,29 +149,29 @@ def block(
         "last": seeds.stop,
         "metrics": {m: len(results[m]) for m in statistics.RUN_METRICS if m in results},
         "predicts_unknown_input": p.predicts_unknown_input[label],
-        "bound": None if p.bound is None else [float(b) for b in p.bound[:many]],
-        "certificate": proof | {"solver": c.solver, "status": c.status},
+        "bound": None if p.bound is None else [float(b) for b in p.bound[:n_signals]],
+        "certificate": certificate | {"solver": c.solver, "status": c.status},
         "engine": p.cell.engine,
         "versions": provenance.versions(),
     }
     common = {} if common is None else common
-    if many not in common:
-        signals, head = signals_of(p.cell.scenario)[:many], columns.keys(work.study, p.cell)
-        common[many] = table_builder.common_columns(head, np.arange(*seeds), signals)
-    table = table_builder.runs_table(common[many], results, p.predicts_unknown_input[label])
+    if n_signals not in common:
+        signals, head = signals_of(p.cell.scenario)[:n_signals], columns.keys(work.study, p.cell)
+        common[n_signals] = table_builder.common_columns(head, np.arange(*seeds), signals)
+    table = table_builder.runs_table(common[n_signals], results, p.predicts_unknown_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     return name, block_files.seal_block(table, about)
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
     """Yield the tasks for a cell's `missing` ranges (by observer): one block per range, as many as fill a call."""
-    wanted: dict[Seeds, list[str]] = {}
+    by_seeds: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
-        for each in ranges:
-            wanted.setdefault(each, []).append(label)
+        for s in ranges:
+            by_seeds.setdefault(s, []).append(label)
     pieces: list[tuple[Seeds, tuple[str, ...]]] = []
-    for seeds, labels in sorted(wanted.items()):
-        if pieces and sum(each.many for each, _ in pieces) + seeds.many > width:
+    for seeds, labels in sorted(by_seeds.items()):
+        if pieces and sum(s.many for s, _ in pieces) + seeds.many > width:
             yield Task(parcel, tuple(pieces))
             pieces = []
         pieces.append((seeds, tuple(labels)))

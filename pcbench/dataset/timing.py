@@ -22,19 +22,19 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
     """
     if program.layout.defined:
         return 0.0
-    many, before = int(job.problem.windows[-1, 1]), (0, 0.0)
-    end, rest = FIRST, 0.0
-    while end <= many // 16 and (before[1] < ENOUGH or before[0] <= FIRST):
+    n_ticks, previous = int(job.problem.windows[-1, 1]), (0, 0.0)
+    end, rest_seconds = FIRST, 0.0
+    while end <= n_ticks // 16 and (previous[1] < ENOUGH or previous[0] <= FIRST):
         windows = np.minimum(job.problem.windows, end)
         windows[-1] = end, end + 1
         start = perf_counter()
         for _ in runner.serial(program, [job._replace(problem=job.problem._replace(windows=windows))]):
-            took = perf_counter() - start
-        rest = max(took - before[1], 0.0) / (end - before[0]) * (many - end)
-        if took * many / end < SHORT:
-            return took + rest
-        before, end = (end, took), 2 * end
-    return before[1] + rest
+            duration = perf_counter() - start
+        rest_seconds = max(duration - previous[1], 0.0) / (end - previous[0]) * (n_ticks - end)
+        if duration * n_ticks / end < SHORT:
+            return duration + rest_seconds
+        previous, end = (end, duration), 2 * end
+    return previous[1] + rest_seconds
 
 
 class Cost(NamedTuple):

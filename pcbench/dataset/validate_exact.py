@@ -51,19 +51,19 @@ class ExactValidation(NamedTuple):
         """Return the verdict as a sentence."""
         if self.rows.empty:
             return "No mean has an exact value to be compared with."
-        far, cells = float((self.z.abs() > 2).mean()), self.rows.groupby(["scenario", "cell"]).ngroups
-        said = f"{len(self.rows):,} means of {'one cell' if cells == 1 else f'{cells:,} cells'} against their exact values: "
+        fraction, cells = float((self.z.abs() > 2).mean()), self.rows.groupby(["scenario", "cell"]).ngroups
+        text = f"{len(self.rows):,} means of {'one cell' if cells == 1 else f'{cells:,} cells'} against their exact values: "
         if len(self.z):
-            said += f"{100 * far:.3g} % of |z| above 2 (4.6 % by chance), the largest {self.z.abs().max():.2f}; "
+            text += f"{100 * fraction:.3g} % of |z| above 2 (4.6 % by chance), the largest {self.z.abs().max():.2f}; "
         if self.wrong.empty:
-            return said + f"none differs more than chance allows (|z| < {self.limit:.2f})."
-        return said + f"{len(self.wrong):,} differ more than chance allows (|z| < {self.limit:.2f})."
+            return text + f"none differs more than chance allows (|z| < {self.limit:.2f})."
+        return text + f"{len(self.wrong):,} differ more than chance allows (|z| < {self.limit:.2f})."
 
 
 def check(out: str | Path) -> ExactValidation:
     """Compare the simulated means of a dataset with exact values; raise UserError if it has too few runs."""
     target = storage.target(out)
-    owned = manifest.load_manifest(target, run=True)
+    claim = manifest.load_manifest(target, run=True)
     if not block_files.present(target):
         raise UserError(
             f"{target.name}: has no runs to be compared with exact values; run the study with evaluation = 'runs'."
@@ -72,24 +72,26 @@ def check(out: str | Path) -> ExactValidation:
     runs = stats[(stats.method == "runs") & stats.metric.isin(METRICS) & (stats.diverged == 0)]
     if not (runs.n >= FEW).any():
         raise UserError(f"{target.name}: has fewer than {FEW} runs a cell, expected more; add some with --seeds.")
-    exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules).stats
-    refused = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
+    exact = Exact(Grid(claim.study, claim.cells), claim.study.schedules).stats
+    reasons = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
     expected = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
     peaks = stats[stats.metric == "max_abs_error"][[*KEY[:-1], "mean"]].rename(columns={"mean": "max_abs_error"})
-    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(expected, on=KEY).merge(peaks, on=KEY[:-1], how="left")
-    return ExactValidation(compare_means(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
+    joint = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(expected, on=KEY).merge(peaks, on=KEY[:-1], how="left")
+    return ExactValidation(compare_means(joint), reasons, float(-ndtri(LEVEL / 2 / max(len(joint), 1))))
 
 
-def compare_means(both: pd.DataFrame) -> pd.DataFrame:
+def compare_means(joint: pd.DataFrame) -> pd.DataFrame:
     """Return matched means with their z, or with their difference if the runs do not vary."""
-    apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
-    error = np.hypot(both.se, both.exact_se)
-    squares, lost = both.metric.str.endswith("mse"), LOST * both.max_abs_error.fillna(0.0)
-    zero = np.where(squares, np.maximum(ZERO, lost) ** 2, np.maximum(ZERO, lost))  # below it all is rounding
-    left = np.where(squares, 2 * np.sqrt(size) * lost + lost**2, lost)
+    diff, size = joint["mean"] - joint.exact, np.maximum(joint["mean"].abs(), joint.exact.abs())
+    error = np.hypot(joint.se, joint.exact_se)
+    squares, rounding = joint.metric.str.endswith("mse"), LOST * joint.max_abs_error.fillna(0.0)
+    zero = np.where(squares, np.maximum(ZERO, rounding) ** 2, np.maximum(ZERO, rounding))  # below it all is rounding
+    tolerance = np.where(squares, 2 * np.sqrt(size) * rounding + rounding**2, rounding)
     varies = (error > 1e-12 * size) & (size > zero)
-    t: pd.Series = apart / np.where(varies, error, 1.0)
-    p = stdtr(both.n - 1, -t.abs())  # as the normal number that is as rare
+    t: pd.Series = diff / np.where(varies, error, 1.0)
+    p = stdtr(joint.n - 1, -t.abs())  # as the normal number that is as rare
     z = np.where(varies, np.where(p > 0, -ndtri(np.maximum(p, 1e-300)), np.inf) * np.sign(t), np.nan)
-    still = np.where(varies | (size <= zero), 0.0, np.maximum(apart.abs() - left, 0.0) / np.where(size > 0, size, 1.0))
-    return both.assign(z=z, apart=still)
+    relative = np.where(
+        varies | (size <= zero), 0.0, np.maximum(diff.abs() - tolerance, 0.0) / np.where(size > 0, size, 1.0)
+    )
+    return joint.assign(z=z, apart=relative)

@@ -29,7 +29,7 @@ CLOSED = {
 def planned(study, place):
     """What is planned of a study."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
-    wanted = run_missing.everything(owned, [])
+    wanted = run_missing.required_seeds(owned, [])
     return run_missing.plan_runs(owned, run_missing.missing_seeds(owned, [], wanted, lambda cell: 64), wanted)
 
 
@@ -71,10 +71,10 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
             tasks = [t for t in plan.tasks(plan.programs()) if not t.timed]
         many = len(study["axes"]["noise_std"]) * (len(study["observers"]) if study is CLOSED else 1)
         assert len(tasks) == many
-        assert len(made) == 2 * many - len(plan.kept)
+        assert len(made) == 2 * many - len(plan.first_drafts)
         if room == 2**30:
             assert plan.cells == len(study["axes"]["noise_std"])
-            leaves = [jax.tree.leaves(p.problem) for p in plan.kept]
+            leaves = [jax.tree.leaves(p.problem) for p in plan.first_drafts]
             first = {id(a): a for p in leaves[: many // plan.cells] for a in p}
             size = sum(getattr(a, "nbytes", 0) + 200 for a in first.values())
         found[room] = sorted([np.asarray(a).tobytes() for a in jax.tree.leaves(t.parcel.problem)] for t in tasks)
