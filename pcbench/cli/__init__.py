@@ -8,12 +8,12 @@ import sys
 from threading import Event
 
 from pcbench.cli import interrupts
-from pcbench.cli.interrupts import STOPPED, exit_code, interrupt, is_interrupted, stop_if_asked, unraisable
+from pcbench.cli.interrupts import STOPPED, exit_code, interrupt, is_interrupted, stop_if_interrupted, unraisable
 from pcbench.errors import UserError, first_sentence, missing, out_of_memory, printable
 from pcbench.runtime import ending, thread_pools
 
 __all__ = ["main", "program"]
-MANY = 100_000  # new objects before Python's garbage collector runs; its default is too often during imports
+GC_THRESHOLD = 100_000  # new objects before Python's garbage collector runs; its default is too often during imports
 
 
 def program() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
     Everything is imported here, so that Ctrl-C is handled from the start.
     """
     code = 0
-    gc.set_threshold(MANY)
+    gc.set_threshold(GC_THRESHOLD)
     signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
     interrupts.watch()
@@ -48,11 +48,11 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # plugins would read the metadata of all packages
     try:
         from pcbench.cli.commands import app
-        from pcbench.cli.shared import speak
+        from pcbench.cli.shared import set_ascii_fallback
 
-        speak()
+        set_ascii_fallback()
         code = app(sys.argv[1:] or ["--help"], prog_name="pcbench", standalone_mode=False) or 0
-        stop_if_asked()
+        stop_if_interrupted()
         if code == STOPPED:  # some releases of the command-line library convert Ctrl-C to an exit code
             raise KeyboardInterrupt
     except UserError as error:

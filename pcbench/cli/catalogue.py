@@ -65,9 +65,9 @@ def observer(o: observers.ObserverSpec) -> Description:
 
 def controller(c: controllers.ControllerSpec) -> Description:
     """Describe a controller: the options of the table [controller], its own before those of all controllers."""
-    every, own = options(c.options), get_annotations(c.options)
-    order = sorted(every, key=lambda name: name not in own)
-    return {"summary": c.summary, "table": "[controller]", "options": {name: every[name] for name in order}}
+    by_name, annotations = options(c.options), get_annotations(c.options)
+    order = sorted(by_name, key=lambda name: name not in annotations)
+    return {"summary": c.summary, "table": "[controller]", "options": {name: by_name[name] for name in order}}
 
 
 def options(model: type[BaseModel]) -> dict[str, Description]:
@@ -123,25 +123,25 @@ def scenario(s: Scenario, study: Study | None = None) -> Description:
 
 def accepted_axes(s: Scenario) -> list[str]:
     """Return the axes that a scenario accepts for at least one value, without its plant's parameters."""
-    refused = set() if drifts(s) else {"parameter_drift"}
+    excluded = set() if drifts(s) else {"parameter_drift"}
     if s.sampling.continuous:
-        refused |= {*RECORDS["sampling"], *RECORDS["belief"]}
+        excluded |= {*RECORDS["sampling"], *RECORDS["belief"]}
     if s.loop.controller and s.sampling.prefilled:  # its schedule is the same for all runs
-        refused |= {*RANDOM_AXES, *WITH_RANDOM_AXES, "delay_sequence"}
-    return [name for name in axes_of(s) if name not in refused]
+        excluded |= {*RANDOM_AXES, *WITH_RANDOM_AXES, "delay_sequence"}
+    return [name for name in axes_of(s) if name not in excluded]
 
 
 def _data(value: object) -> object:
     """Return a value of a scenario as lists and dicts; for a table of inputs only its number of rows."""
     if isinstance(value, Wave):
-        return {name: each for name, each in value._asdict().items() if each != value._field_defaults.get(name, "")}
+        return {name: v for name, v in value._asdict().items() if v != value._field_defaults.get(name, "")}
     if isinstance(value, Table):
         return f"a table of {len(value.t):,} rows"
     if isinstance(value, Mapping):
-        return {name: _data(each) for name, each in value.items()}
+        return {name: _data(v) for name, v in value.items()}
     if hasattr(value, "tolist"):
         return value.tolist()
-    return [_data(each) for each in value] if isinstance(value, tuple | list) else value
+    return [_data(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 def study(s: Study) -> Description:
@@ -194,21 +194,21 @@ def list_catalogue(kind: str, name: str | None = None) -> dict[str, Description]
     if kind not in CATALOGUE:
         raise unknown("list", "kind to list", kind, CATALOGUE)
     members, describe = CATALOGUE[kind]
-    one = SINGULAR.get(kind, kind.removesuffix("s"))
-    installed = registry.find_plugins(one)
+    singular = SINGULAR.get(kind, kind.removesuffix("s"))
+    plugins = registry.find_plugins(singular)
     if name is None:
         packages = {
-            each: {"summary": f"from the package {offer.package}", "use": offer.reference}
-            for each, offer in installed.items()
+            key: {"summary": f"from the package {offer.package}", "use": offer.reference}
+            for key, offer in plugins.items()
         }
-        return {each: describe(member) for each, member in members.items()} | packages
+        return {key: describe(member) for key, member in members.items()} | packages
     if name in members:
         return {name: describe(members[name])}
-    reference = installed[name].reference if name in installed else name
+    reference = plugins[name].reference if name in plugins else name
     if not user_code.is_reference(reference):
-        raise unknown(f"list {kind}", f"{one} (or MODULE:NAME)", name, [*members, *installed])
+        raise unknown(f"list {kind}", f"{singular} (or MODULE:NAME)", name, [*members, *plugins])
     if kind not in OWN:
-        raise unknown(f"list {kind}", one, reference, members)
+        raise unknown(f"list {kind}", singular, reference, members)
     if kind == "scenarios":
         return {name: describe(parse.scenario_of(reference))}
-    return {name: describe(registry.load(one, reference, f"list {kind}").entry)}
+    return {name: describe(registry.load(singular, reference, f"list {kind}").entry)}

@@ -47,15 +47,15 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(value: bool) -> None:
+    if value:
         print(f"pcbench {version('pcbench')}")
         raise typer.Exit
 
 
 @app.callback()
 def main_callback(
-    asked: Annotated[
+    show_version: Annotated[
         bool, option("Print the version and exit", "--version", "-V", callback=_version, is_eager=True)
     ] = False,
 ) -> None:

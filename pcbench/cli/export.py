@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from pcbench.cli.interrupts import stop_if_asked
+from pcbench.cli.interrupts import stop_if_interrupted
 from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study
-from pcbench.cli.shared import argument, chosen, console, names, option, out, say, setup, working
+from pcbench.cli.shared import argument, console, names, option, out, parse_signals, say, setup, show_progress
 from pcbench.errors import UserError
 from pcbench.toml_text import TomlTable
 
@@ -40,9 +40,9 @@ def export(
     files.require_place(folder)
     if log is None and (delay is not None or start is not None):
         raise UserError("--delay and --start have an effect only with --log; add --log, or leave them out.")
-    found = files.export_observer(study, observer, seed, changes, log=log, delay=delay, start=start)
-    stop_if_asked()
-    made = files.write(found, folder)
+    result = files.export_observer(study, observer, seed, changes, log=log, delay=delay, start=start)
+    stop_if_interrupted()
+    paths = files.write(result, folder)
     if quiet:
         print(folder)
         return
@@ -51,12 +51,12 @@ def export(
     else:
         from pcbench.cli.render import recordings
 
-        double, single = (files.run_compiled(found, single=each) or "" for each in (False, True))
-        of = "a simulated run" if log is None else log
-        recordings.table(found, files.parse_replay(double), files.parse_replay(single), of, console())
+        double, single = (files.run_compiled(result, single=is_single) or "" for is_single in (False, True))
+        source = "a simulated run" if log is None else log
+        recordings.table(result, files.parse_replay(double), files.parse_replay(single), source, console())
         print(double.splitlines()[-1] + ", in double precision")
-    label = found.about.label
-    print(f"{len(made)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")
+    label = result.about.label
+    print(f"{len(paths)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")
 
 
 def prepare(
@@ -78,9 +78,9 @@ def prepare(
     from pcbench.external import export_draws
     from pcbench.planning import all_observers
 
-    asked: TomlTable = {"seeds": seeds, "observers": names(observers) if observers else None}
-    with working(quiet) as progress:
-        export_draws.write(all_observers.grid_of(study, asked, changes or []), folder, csv, progress)
+    keys: TomlTable = {"seeds": seeds, "observers": names(observers) if observers else None}
+    with show_progress(quiet) as progress:
+        export_draws.write(all_observers.grid_of(study, keys, changes or []), folder, csv, progress)
     print(
         f"{folder}/draws contains samples, inputs and initial states. Its README.md explains the columns and your "
         "estimates file."
@@ -102,7 +102,7 @@ def score(
     setup()
     from pcbench.external import score
 
-    with working(quiet) as progress:
+    with show_progress(quiet) as progress:
         result = score.score(folder, estimates, name, progress, say)
     _print_export(result, folder, metric, signal, quiet)
 
@@ -122,7 +122,7 @@ def run(
     setup()
     from pcbench.external import score
 
-    with working(quiet) as progress:
+    with show_progress(quiet) as progress:
         result = score.run(folder, reference, name, progress, say)
     _print_export(result, folder, metric, signal, quiet)
 
@@ -133,4 +133,4 @@ def _print_export(result: "Result", folder: str, metric: str, signal: str | None
         return
     from pcbench.cli.render import results
 
-    results.closing(result, console(), metric, chosen(signal))
+    results.closing(result, console(), metric, parse_signals(signal))

@@ -110,19 +110,19 @@ def metric_facts(name: str) -> Description:
 
 def option_type(schema: Description) -> Description:
     """Return the type of an option in words, and its range or its choices, of a JSON schema."""
-    each = [one for one in _alternatives(schema) if one.get("type") != "null"]
-    if "enum" in each[0]:
-        return {"type": "choice", "choices": each[0]["enum"]}
-    ends = {sign: each[0][key] for key, sign in ENDS.items() if abs(each[0].get(key, LARGEST)) < LARGEST}
+    schemas = [s for s in _alternatives(schema) if s.get("type") != "null"]
+    if "enum" in schemas[0]:
+        return {"type": "choice", "choices": schemas[0]["enum"]}
+    ends = {sign: schemas[0][key] for key, sign in ENDS.items() if abs(schemas[0].get(key, LARGEST)) < LARGEST}
     if ">" in ends:
         ends.pop(">=", None)
     words = " and ".join(f"{sign} {end:.10g}" for sign, end in ends.items())
-    return {"type": " or ".join(dict.fromkeys(map(_type_words, each))), "range": words or None}
+    return {"type": " or ".join(dict.fromkeys(map(_type_words, schemas))), "range": words or None}
 
 
 def _alternatives(schema: Description) -> list[Description]:
     """Return the schemas of which a value satisfies one."""
-    return [inner for one in schema["anyOf"] for inner in _alternatives(one)] if "anyOf" in schema else [schema]
+    return [inner for s in schema["anyOf"] for inner in _alternatives(s)] if "anyOf" in schema else [schema]
 
 
 def _type_words(schema: Description) -> str:
@@ -131,7 +131,7 @@ def _type_words(schema: Description) -> str:
         return f'"{schema["const"]}"'
     if schema.get("type") == "array":
         inner = dict.fromkeys(map(_type_words, _alternatives(schema.get("items", {}))))
-        several = " or ".join(one if one.startswith('"') else f"{one}s" for one in inner)
+        several = " or ".join(t if t.startswith('"') else f"{t}s" for t in inner)
         return "matrix" if several.startswith("list") else f"list of {several}"
     kind = str(schema.get("type", "table" if "$ref" in schema else "value"))
     return TYPES.get(kind, kind)

@@ -19,7 +19,7 @@ SOON = 0.05  # [s] until the next attempt
 GRACE = 1.0  # [s] for the main thread to end the process itself
 SENTENCE = "stopped; every file already written is complete."
 CURSOR = "\r\x1b[K\x1b[?25h"  # terminal codes: clear the line of a progress bar, and show the cursor
-_ASKED: list[int] = []
+_SIGNALS: list[int] = []
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
@@ -27,7 +27,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
     While an extension module is being loaded the interrupt is postponed: some modules crash if Python is interrupted then.
     """
-    _ASKED.append(number)
+    _SIGNALS.append(number)
     if number == signal.SIGTERM:
         signal.signal(number, signal.SIG_DFL)
     if hasattr(signal, "setitimer") and _loads_an_extension(frame):
@@ -64,30 +64,30 @@ def _watch(reader: int) -> None:
 
 def _loads_an_extension(frame: FrameType | None) -> bool:
     while frame is not None:
-        loading = frame.f_code.co_name in ("create_module", "exec_module")
-        if loading and isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
+        is_loader = frame.f_code.co_name in ("create_module", "exec_module")
+        if is_loader and isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
             return True
         frame = frame.f_back
     return False
 
 
-def unraisable(found: Any) -> None:
+def unraisable(args: Any) -> None:
     """Report an exception that Python could not raise, as Python does; a Ctrl-C is recorded and raised later instead."""
-    if not issubclass(found.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(found)
+    if not issubclass(args.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(args)
 
 
 def is_interrupted() -> bool:
     """Return whether Ctrl-C was pressed."""
-    return bool(_ASKED)
+    return bool(_SIGNALS)
 
 
 def exit_code() -> int:
     """Return the exit code of an interrupted program: 128 plus the signal number."""
-    return 128 + _ASKED[0] if _ASKED else STOPPED
+    return 128 + _SIGNALS[0] if _SIGNALS else STOPPED
 
 
-def stop_if_asked() -> None:
+def stop_if_interrupted() -> None:
     """Raise KeyboardInterrupt if Ctrl-C was pressed and a library has suppressed it."""
     if is_interrupted():
         raise KeyboardInterrupt
@@ -96,11 +96,11 @@ def stop_if_asked() -> None:
 def stoppable(progress: Progress) -> Progress:
     """Return a Progress that also stops if Ctrl-C was pressed."""
 
-    def stopping(hear: Callable[..., None]) -> Callable[..., None]:
-        def heard(*said: object) -> None:
-            stop_if_asked()
-            hear(*said)
+    def wrap(report: Callable[..., None]) -> Callable[..., None]:
+        def wrapper(*args: object) -> None:
+            stop_if_interrupted()
+            report(*args)
 
-        return heard
+        return wrapper
 
-    return Progress(stopping(progress.begin), stopping(progress.step), stopping(progress.note))
+    return Progress(wrap(progress.begin), wrap(progress.step), wrap(progress.note))

@@ -83,17 +83,17 @@ def show(
 
         study = all_observers.outline(scenario, changes or [])
         say(*all_observers.sentences(study.excluded))
-    found = parse.scenario_in(study, scenario)
+    s = parse.scenario_in(study, scenario)
     if as_toml:
-        shown = found._replace(observers=tuple(observers_of(study, found.name)))
-        write(scenario_template.as_study(shown, study.axes, study.options))
+        template = s._replace(observers=tuple(observers_of(study, s.name)))
+        write(scenario_template.as_study(template, study.axes, study.options))
     elif as_json:
-        print(json.dumps({found.name: catalogue.scenario(found, study)}, indent=2))
+        print(json.dumps({s.name: catalogue.scenario(s, study)}, indent=2))
     else:
         screen = console()
-        print_in_full(found.name, catalogue.scenario(found, study), screen)
+        print_in_full(s.name, catalogue.scenario(s, study), screen)
         end = f"Write it as a study file with all fields: pcbench show {scenario} --toml > mine.toml"
-        if found.plant == "lti" or found.own:
+        if s.plant == "lti" or s.own:
             end = f"This is your own study: edit {scenario}, then pcbench run {scenario}"
         screen.say(end)
 
@@ -131,11 +131,11 @@ def print_in_full(name: str, description: "Description", screen: "Screen") -> No
         if key not in IN_FULL and value not in (None, [], {}, ""):
             screen.print(f"  {LABELS.get(key, key).replace('_', ' ')}: {words(value)}")
     for key, word in (("signals", "signal"), ("unknown", "unknown")):
-        each = description.get(key)
-        for signal in each if isinstance(each, list) else []:
-            rest = [f"{k.replace('_', ' ')} {v:g}" for k, v in signal.items() if k not in ("name", "unit")]
+        signals = description.get(key)
+        for signal in signals if isinstance(signals, list) else []:
+            limits = [f"{k.replace('_', ' ')} {v:g}" for k, v in signal.items() if k not in ("name", "unit")]
             text = f"  {word} {signal['name']} [{signal['unit']}]"
-            screen.print(text + (f": {', '.join(rest)}" if rest else ""))
+            screen.print(text + (f": {', '.join(limits)}" if limits else ""))
     for key, value in description.get("parameters", {}).items():
         screen.print(f"  parameter plant.{key} = {value:g}")
     options = description.get("options") or {}
@@ -159,6 +159,8 @@ def words(value: object) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{k} {words(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
-        each = [f"[{words(v)}]" if isinstance(v, list) else words(v) for v in value]
-        return each[0] if len(set(each)) == 1 and len(each) > 1 and not isinstance(value[0], str) else ", ".join(each)
+        texts = [f"[{words(v)}]" if isinstance(v, list) else words(v) for v in value]
+        return (
+            texts[0] if len(set(texts)) == 1 and len(texts) > 1 and not isinstance(value[0], str) else ", ".join(texts)
+        )
     return str(value)

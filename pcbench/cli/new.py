@@ -124,10 +124,10 @@ GROUPS = {  # the pages by kind, in the order of the list
 
 def pages() -> dict[str, Path]:
     """Return the guide's pages by topic, in order."""
-    every = ((path.parent.name if path.stem == "README" else path.stem, path) for path in FOLDER.rglob("*.md"))
-    found = {name.replace("_", "-"): path for name, path in every}
+    entries = ((path.parent.name if path.stem == "README" else path.stem, path) for path in FOLDER.rglob("*.md"))
+    by_topic = {name.replace("_", "-"): path for name, path in entries}
     first = [topic for group in GROUPS.values() for topic in group]
-    return {topic: found[topic] for topic in [*first, *sorted(found.keys() - set(first))]}
+    return {topic: by_topic[topic] for topic in [*first, *sorted(by_topic.keys() - set(first))]}
 
 
 def title(page: str) -> str:
@@ -144,11 +144,12 @@ def guide(
     """
     topics = pages()
     if topic is None:
-        wide = max(len(topic) for group in GROUPS.values() for topic in group)
-        for group, mine in GROUPS.items():
+        width = max(len(topic) for group in GROUPS.values() for topic in group)
+        for group, group_topics in GROUPS.items():
             print(f"{group}\n")
             print(
-                "\n".join(f"  {topic:<{wide}}  {title(topics[topic].read_text('utf-8'))}" for topic in mine), end="\n\n"
+                "\n".join(f"  {topic:<{width}}  {title(topics[topic].read_text('utf-8'))}" for topic in group_topics),
+                end="\n\n",
             )
         print("Show a page: pcbench guide choose-an-observer")
         return
@@ -184,20 +185,22 @@ def check(
 
     Examples: pcbench check mine.py:nudge --set share=0.2;  pcbench check mine.py:pendulum;  pcbench check motor.toml
     """
-    given = dict(map(_option, options or []))
+    values = dict(map(_option, options or []))
     setup()
     from pcbench import checking
     from pcbench.checking.targets import FAILS
     from pcbench.cli.render import gains
 
     with contextlib.redirect_stdout(sys.stderr):  # output of user code is not part of the result
-        kind, label, on, found = checking.check(target, scenario, given)
+        kind, label, scenario_name, findings = checking.check(target, scenario, values)
     if as_json:
-        said = {"kind": kind, kind: label} | ({"scenario": on} if on and kind != "scenario" else {})
-        print(json.dumps(said | {"checks": [f._asdict() for f in found]}, indent=2))
+        summary = {"kind": kind, kind: label} | (
+            {"scenario": scenario_name} if scenario_name and kind != "scenario" else {}
+        )
+        print(json.dumps(summary | {"checks": [f._asdict() for f in findings]}, indent=2))
     else:
-        gains.print_findings(f"{kind} {label}" + (f" on {on}" if on else ""), found, console())
-    if any(f.verdict == FAILS for f in found):
+        gains.print_findings(f"{kind} {label}" + (f" on {scenario_name}" if scenario_name else ""), findings, console())
+    if any(f.verdict == FAILS for f in findings):
         raise typer.Exit(1)
 
 

@@ -14,7 +14,7 @@ from pcbench.cli.shared import (
     require_effect,
     say,
     setup,
-    working,
+    show_progress,
     write,
     write_new,
 )
@@ -75,7 +75,7 @@ def info(
 
         save(delays(table), picture)
     if as_json:
-        lags = [each._asdict() for each in table.attrs["lags"]]
+        lags = [lag._asdict() for lag in table.attrs["lags"]]
         print(readable({"log": file, "channels": table.to_dict("records"), "lags": lags}))
     else:
         recordings.channels(table, console())
@@ -160,8 +160,8 @@ def replay(
     from pcbench.cli.render.tables import readable
     from pcbench.playback import replay
 
-    with working(quiet or as_json, "reading the recording") as progress:
-        found = replay.replay(
+    with show_progress(quiet or as_json, "reading the recording") as progress:
+        result = replay.replay(
             file,
             plant,
             names(observers),
@@ -173,10 +173,10 @@ def replay(
             progress=progress,
         )
     if as_json:
-        print(readable(found.summary | {"out": folder}))
+        print(readable(result.summary | {"out": folder}))
         return
-    say(*found.summary["said"])
+    say(*result.summary["said"])
     if quiet:
         print(folder)
     else:
-        recordings.print_replay(found, folder, console())
+        recordings.print_replay(result, folder, console())

@@ -5,7 +5,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.options import RANK, Folder, Journal, Json, Metric, Quiet, Signals
-from pcbench.cli.shared import argument, chosen, console, option, out, require_effect, setup, working, write
+from pcbench.cli.shared import (
+    argument,
+    console,
+    option,
+    out,
+    parse_signals,
+    require_effect,
+    setup,
+    show_progress,
+    write,
+)
 from pcbench.errors import UserError, printable, unknown
 
 if TYPE_CHECKING:
@@ -54,11 +64,11 @@ def report(
     from pcbench.report.figures import FigureOptions
     from pcbench.runtime import config
 
-    replayed = replay_frames.is_replay(folder)
-    if replayed:
+    is_replay = replay_frames.is_replay(folder)
+    if is_replay:
         chosen_metric = None if metric == RANK else metric
-        unused = {"--metric": chosen_metric, "--grid-point": grid_point, "--seed": seed, "--threshold": threshold}
-        require_effect(unused, "with a replay", "leave it out")
+        run_options = {"--metric": chosen_metric, "--grid-point": grid_point, "--seed": seed, "--threshold": threshold}
+        require_effect(run_options, "with a replay", "leave it out")
     statistics.require_metric(metric, "--metric")
     if threshold is not None and not threshold > 0:
         raise UserError(
@@ -68,8 +78,10 @@ def report(
         raise UserError(
             f"--out: got {file} together with --figures {figures}, expected the page or its figures; leave one out."
         )
-    shown = FigureOptions(metric=metric, signals=chosen(signal), cell=grid_point, seed=seed, threshold=threshold)
-    with config.float64(), working(quiet) as progress:
+    options = FigureOptions(
+        metric=metric, signals=parse_signals(signal), cell=grid_point, seed=seed, threshold=threshold
+    )
+    with config.float64(), show_progress(quiet) as progress:
         if figures is not None:
             from pcbench.dataset.result import open_result
             from pcbench.report import figures as pictures
@@ -82,22 +94,22 @@ def report(
                 size=base.size if size is None else size,
                 font=base.font if font is None else font,
             ).checked()
-            if replayed:
-                written = replay_page.write_figures(folder, figures, shown._replace(paper=paper), kinds)
+            if is_replay:
+                paths = replay_page.write_figures(folder, figures, options._replace(paper=paper), kinds)
             else:
-                written = pictures.write(open_result(folder), figures, progress, shown._replace(paper=paper), kinds)
-            where, said = figures, f"{len(written)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
+                paths = pictures.write(open_result(folder), figures, progress, options._replace(paper=paper), kinds)
+            where, text = figures, f"{len(paths)} figures as {', '.join(k.upper() for k in kinds)} in {figures}"
         else:
             from pcbench.report import page, replay_page
 
             where = f"{folder.rstrip('/')}/report.html" if file is None else file
-            if replayed:
-                many = page.put(replay_page.page(replay_frames.open_replay(folder), shown.signals), where)
+            if is_replay:
+                n_bytes = page.put(replay_page.page(replay_frames.open_replay(folder), options.signals), where)
             else:
-                many = page.write(folder, where, progress, shown)
-            bytes_ = f"{many / 1e6:.1f} MB" if many >= 1e5 else f"{many / 1e3:.0f} kB"
-            said = f"{where}: one page of {bytes_}, which opens in any browser"
-    print(where if quiet else said)
+                n_bytes = page.write(folder, where, progress, options)
+            bytes_ = f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.0f} kB"
+            text = f"{where}: one page of {bytes_}, which opens in any browser"
+    print(where if quiet else text)
 
 
 SUFFIXES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
@@ -120,28 +132,28 @@ def tables(
 
     Example: pcbench tables results/quick --latex --signal all --out tables.tex
     """
-    given = [form for form, yes in (("latex", latex or plain), ("markdown", markdown), ("csv", csv)) if yes]
+    forms = [form for form, flag in (("latex", latex or plain), ("markdown", markdown), ("csv", csv)) if flag]
     suffix = Path(file).suffix.lower() if file else ".md"
-    if len(given) > 1:
-        raise UserError(f"tables: got --{' and --'.join(given)}, expected one form; leave the others out.")
-    if not given and suffix not in SUFFIXES:
+    if len(forms) > 1:
+        raise UserError(f"tables: got --{' and --'.join(forms)}, expected one form; leave the others out.")
+    if not forms and suffix not in SUFFIXES:
         raise UserError(
             f"--out {file}: got no form by its name, expected one of {', '.join(SUFFIXES)}; add --latex, --markdown or --csv."
         )
-    form = given[0] if given else SUFFIXES[suffix]
+    form = forms[0] if forms else SUFFIXES[suffix]
     if form != "latex":
         require_effect({"--journal": journal}, f"with {form}", "add --latex, or leave it out")
     from pcbench.dataset.result import open_result
     from pcbench.tables import latex as tex
     from pcbench.tables import layout, text
 
-    found = layout.tables(open_result(folder), metric, chosen(signal))
-    if not found:
+    layouts = layout.tables(open_result(folder), metric, parse_signals(signal))
+    if not layouts:
         raise UserError(f"--metric: got {metric}, which the selected signals do not have; use another.")
     if form == "latex":
-        _put(tex.latex(found, plain, journal or "ieee"), file)
+        _put(tex.latex(layouts, plain, journal or "ieee"), file)
     else:
-        _put(text.markdown(found) if form == "markdown" else text.values(found), file)
+        _put(text.markdown(layouts) if form == "markdown" else text.values(layouts), file)
 
 
 def _put(content: str, file: str | None) -> None:
@@ -160,7 +172,7 @@ def _put(content: str, file: str | None) -> None:
 
 
 def cite(
-    what: Annotated[
+    target: Annotated[
         str | None, argument("Folder of a result, or study [default: everything]", metavar="[DIR|STUDY]")
     ] = None,
     file: Annotated[str | None, out("File to write [default: the terminal]")] = None,
@@ -171,7 +183,7 @@ def cite(
     """
     from pcbench import citing
 
-    _put(citing.bibtex(what), file)
+    _put(citing.bibtex(target), file)
 
 
 def reproduce(
@@ -209,16 +221,18 @@ def reproduce(
         return
     if page is not None:
         storage.make(storage.target(page.parent))  # an unwritable folder is reported before the work
-    with working(quiet or as_json) as progress:
-        found = every.claims(progress)
+    with show_progress(quiet or as_json) as progress:
+        by_paper = every.claims(progress)
     if page is not None:
-        storage.put(storage.target(page.parent), page.name, text_of(found).encode())
+        storage.put(storage.target(page.parent), page.name, text_of(by_paper).encode())
     if as_json:
-        papers = [_data(name, PAPERS[name][0], rows) for name, rows in found.items()]
-        print(json.dumps({"papers": papers, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
+        papers = [_data(name, PAPERS[name][0], rows) for name, rows in by_paper.items()]
+        print(
+            json.dumps({"papers": papers, "verdicts": counts(r for rows in by_paper.values() for r in rows)}, indent=2)
+        )
     elif not quiet:
         screen = console()
-        folder.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
+        folder.all_claims(by_paper, {name: title for name, (title, _) in PAPERS.items()}, screen)
         if page is not None:
             screen.print(f"Page written: {page}")
 

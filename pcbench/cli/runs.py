@@ -12,7 +12,18 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.options import RANK, Folder, Json, Metric, Observers, Quiet, Scenario, Set, Signal, Signals, Study
-from pcbench.cli.shared import argument, chosen, console, names, option, out, require_effect, say, setup, working
+from pcbench.cli.shared import (
+    argument,
+    console,
+    names,
+    option,
+    out,
+    parse_signals,
+    require_effect,
+    say,
+    setup,
+    show_progress,
+)
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
@@ -62,11 +73,12 @@ def run(
 
     Example: pcbench run quick --seeds 512 --out first-look
     """
-    began = perf_counter()
-    drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
-    simulated, no_runs = drawn | {"--block-size": block_size}, "exact values need no runs; leave one of them out"
+    start = perf_counter()
+    seed_options = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
+    run_options = seed_options | {"--block-size": block_size}
+    advice = "exact values need no runs; leave one of them out"
     if evaluation == "exact":
-        require_effect(simulated, "with --evaluation exact", no_runs)
+        require_effect(run_options, "with --evaluation exact", advice)
     if quiet or as_json:
         tables, context = {"--operations": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
         require_effect(tables, context, "no table is printed; leave one of them out")
@@ -75,13 +87,13 @@ def run(
     from pcbench.study import parse
 
     statistics.require_metric(metric, "--metric")
-    asked, where = parse.outline(study, changes or []), chosen(signal)
-    parse.require_signals(asked, where, "--signal")
-    if (evaluation or asked.evaluation) == "exact":
-        require_effect(simulated, 'in a study with evaluation = "exact"', no_runs)
+    outline, signals = parse.outline(study, changes or []), parse_signals(signal)
+    parse.require_signals(outline, signals, "--signal")
+    if (evaluation or outline.evaluation) == "exact":
+        require_effect(run_options, 'in a study with evaluation = "exact"', advice)
         _require_exact(metric)
-    into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-    with working(quiet or as_json, "designing gains") as progress:
+    into = str(Path("results") / outline.name.replace("/", "-")) if folder is None else folder
+    with show_progress(quiet or as_json, "designing gains") as progress:
         result = api.run(
             study,
             overrides=changes,
@@ -97,17 +109,17 @@ def run(
             workers=workers,
             block_size=block_size,
             memory=memory,
-            progress=_importing_ahead(progress, quiet),
+            progress=_with_early_imports(progress, quiet),
             say=say,
         )
     if result.study.custom_observers and find_spec("matplotlib"):
         from pcbench.report import figures
 
-        shown = figures.FigureOptions(metric=metric, signals=where)
-        figures.places(result, list(result.study.scenarios), shown)  # needs the user's code, which is loaded now
+        options = figures.FigureOptions(metric=metric, signals=signals)
+        figures.places(result, list(result.study.scenarios), options)  # needs the user's code, which is loaded now
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
-        summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}
+        summary = {"study": outline.name, "out": into, "provenance": result.provenance, "stats": stats}
         if result.fair is not None:
             summary["fair"] = json.loads(result.fair.to_json(orient="records"))
         print(json.dumps(summary, indent=2))
@@ -117,22 +129,22 @@ def run(
         from pcbench.cli.render import results
 
         screen = console()
-        results.closing(result, screen, metric, where, api.operation_counts(result.study) if costs else None)
+        results.closing(result, screen, metric, signals, api.operation_counts(result.study) if costs else None)
         if result.fair is not None:
             from pcbench.cli.render import gains
 
             gains.fair(result.fair, screen)
         screen.say(results.sentence(result, into))
-        screen.say(*(results.timings(result, perf_counter() - began) if timings else []))
+        screen.say(*(results.timings(result, perf_counter() - start) if timings else []))
         screen.say(f"View the results: pcbench report {into}")
 
 
-def _importing_ahead(progress: Progress, quiet: bool) -> Progress:
+def _with_early_imports(progress: Progress, quiet: bool) -> Progress:
     """Return a Progress that also imports the modules for closing and printing once work has begun."""
     modules = AHEAD if quiet else (*AHEAD, "pcbench.cli.render.results")
 
-    def begin(what: str, steps: int | None) -> None:
-        progress.begin(what, steps)
+    def begin(activity: str, steps: int | None) -> None:
+        progress.begin(activity, steps)
         Thread(target=lambda: [import_module(name) for name in modules], name="importing").start()
 
     return progress._replace(begin=begin)
@@ -143,14 +155,14 @@ def _require_exact(metric: str) -> None:
     from pcbench.moments.stats_rows import ORDER, RUNS_ONLY
     from pcbench.statistics import COMPARED
 
-    def has_one(metric: str) -> bool:
+    def has_exact(metric: str) -> bool:
         steady = "steady_" if metric.startswith("steady_") else ""
         return metric not in RUNS_ONLY or f"{steady}pooled_{metric.removeprefix(steady)}" in ORDER
 
-    if not has_one(metric):
+    if not has_exact(metric):
         raise UserError(
             f"--metric: got {metric}, which has no exact value ({RUNS_ONLY[metric]}), expected one of "
-            f"{', '.join(filter(has_one, COMPARED))}; write one of them, or simulate runs."
+            f"{', '.join(filter(has_exact, COMPARED))}; write one of them, or simulate runs."
         )
 
 
@@ -204,7 +216,7 @@ def find_limit(
     if into is None:
         name = f"{parse.outline(study, changes or []).name}-{'-'.join(axis)}"
         into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", name).strip("-"))
-    with working(quiet or as_json, "designing gains") as progress:
+    with show_progress(quiet or as_json, "designing gains") as progress:
         table = find_limit.find_limit(
             study,
             axis=axis[0] if len(axis) == 1 else axis,
@@ -272,12 +284,12 @@ def status(folder: Folder, as_json: Json = False) -> None:
     from pcbench.cli.render import folder as screen
     from pcbench.dataset import verify
 
-    found = verify.status(folder)
+    content = verify.status(folder)
     if as_json:
-        print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
+        print(json.dumps(content._asdict() | {"shares": [s._asdict() for s in content.shares]}, indent=2))
     else:
-        screen.status(found, folder, console())
-    if found.damaged or found.doubled:
+        screen.status(content, folder, console())
+    if content.damaged or content.doubled:
         raise typer.Exit(1)
 
 
@@ -294,12 +306,12 @@ def merge(
     """
     from pcbench.dataset import merge
 
-    with working(quiet) as progress:
-        made = merge.merge(folders, into, progress)
-    again = f" {made.doubled:,} runs were in more than one dataset, and are equal." if made.doubled else ""
+    with show_progress(quiet) as progress:
+        report = merge.merge(folders, into, progress)
+    duplicates = f" {report.doubled:,} runs were in more than one dataset, and are equal." if report.doubled else ""
     fills = f"pcbench run {into}/study.toml --out {into}"
-    missing = f" {made.missing:,} runs are missing. Add them: {fills}" if made.missing else ""
-    print(f"{made.blocks:,} blocks in {into}.{again}{missing}")
+    missing = f" {report.missing:,} runs are missing. Add them: {fills}" if report.missing else ""
+    print(f"{report.blocks:,} blocks in {into}.{duplicates}{missing}")
 
 
 def verify(
@@ -323,11 +335,11 @@ def verify(
 
     Example: pcbench verify results/quick --sample 8
     """
-    drawn = {"--sample": sample, "--seed": seed}
+    sample_options = {"--sample": sample, "--seed": seed}
     if exact:
-        require_effect(drawn | {"--all": every}, "with --exact", "leave one of them out")
+        require_effect(sample_options | {"--all": every}, "with --exact", "leave one of them out")
     if every:
-        require_effect(drawn, "with --all", "leave one of them out")
+        require_effect(sample_options, "with --all", "leave one of them out")
     if not exact:
         require_effect({"--figure": figure}, "without --exact", "add --exact, or leave it out")
     setup()
@@ -336,13 +348,13 @@ def verify(
     from pcbench.cli.render import folder as screen
     from pcbench.dataset import verify
 
-    with working(quiet or as_json) as progress:
-        found = verify.verify(folder, None if every else SAMPLE if sample is None else sample, seed or 0, progress)
+    with show_progress(quiet or as_json) as progress:
+        result = verify.verify(folder, None if every else SAMPLE if sample is None else sample, seed or 0, progress)
     if as_json:
-        print(json.dumps(found._asdict(), indent=2))
+        print(json.dumps(result._asdict(), indent=2))
     elif not quiet:
-        screen.verdict(found, folder, console())
-    if found.wrong or found.differing or found.unlike:
+        screen.verdict(result, folder, console())
+    if result.wrong or result.differing or result.unlike:
         raise typer.Exit(1)
 
 
@@ -352,17 +364,17 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
     from pcbench.cli.render.tables import readable
     from pcbench.dataset import validate_exact
 
-    found = validate_exact.check(folder)
+    validation = validate_exact.check(folder)
     if figure is not None:
         from pcbench import plots
 
-        plots.save(plots.quantiles(found), figure)
+        plots.save(plots.quantiles(validation), figure)
     if as_json:
-        said = {"verdict": found.verdict, "limit": found.limit, "refused": found.refused}
-        print(readable(said | {"rows": found.rows.to_dict("records")}))
+        summary = {"verdict": validation.verdict, "limit": validation.limit, "refused": validation.refused}
+        print(readable(summary | {"rows": validation.rows.to_dict("records")}))
     elif not quiet:
-        screen.against_exact(found, console())
-    if len(found.wrong):
+        screen.against_exact(validation, console())
+    if len(validation.wrong):
         raise typer.Exit(1)
 
 
@@ -381,15 +393,15 @@ def compare(
     from pcbench.cli.render.tables import readable
     from pcbench.dataset import compare
 
-    found = compare.compare(there, here)
+    result = compare.compare(there, here)
     if as_json:
-        said = {"rows": len(found.rows), "changed": found.changed, "only": found.only, "made_by": found.made_by}
-        drawn = {"same_draws": int(found.rows.same_draws.sum()), "identical": found.identical, "largest": found.largest}
-        moved = found.rows[found.rows.changed].to_dict("records")
-        print(readable(said | drawn | {"moved": moved}))
+        summary = {"rows": len(result.rows), "changed": result.changed, "only": result.only, "made_by": result.made_by}
+        summary |= {"same_draws": int(result.rows.same_draws.sum()), "identical": result.identical}
+        moved = result.rows[result.rows.changed].to_dict("records")
+        print(readable(summary | {"largest": result.largest, "moved": moved}))
     elif not quiet:
         from pcbench.cli.render import folder
 
-        folder.comparison(found, there, here, console())
-    if found.changed:
+        folder.comparison(result, there, here, console())
+    if result.changed:
         raise typer.Exit(1)

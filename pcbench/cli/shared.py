@@ -32,7 +32,7 @@ PLAIN = {
 WIDE = 100  # width of a table in a file, if COLUMNS is not set
 
 
-def speak() -> None:
+def set_ascii_fallback() -> None:
     """Replace characters that the terminal's encoding lacks by ASCII, so that output does not fail."""
 
     def in_ascii(error: UnicodeError) -> tuple[str, int]:
@@ -70,13 +70,13 @@ def console() -> "Screen":
     """Return the console for tables, as wide as the terminal or as COLUMNS."""
     from pcbench.cli.render.tables import Screen
 
-    wide = os.environ.get("COLUMNS", "")
-    return Screen() if sys.stdout.isatty() else Screen(width=int(wide) if wide.isdecimal() and int(wide) else WIDE)
+    width = os.environ.get("COLUMNS", "")
+    return Screen() if sys.stdout.isatty() else Screen(width=int(width) if width.isdecimal() and int(width) else WIDE)
 
 
 @contextmanager
-def working(quiet: bool, first: str = "") -> Iterator[Progress]:
-    """Yield a Progress that draws lines on standard error, and stops where Ctrl-C was pressed."""
+def show_progress(quiet: bool, first: str = "") -> Iterator[Progress]:
+    """Yield a Progress that draws lines on standard error, and stops if Ctrl-C was pressed."""
     from pcbench.cli.render.progress import bar
 
     with bar(quiet, first) as progress:
@@ -91,9 +91,9 @@ def setup() -> None:
     program_store.allow()
 
 
-def require_effect(given: Mapping[str, object], context: str, advice: str) -> None:
+def require_effect(options: Mapping[str, object], context: str, advice: str) -> None:
     """Raise UserError for an option that has no effect in this `context`, such as "with --quiet"."""
-    for name, value in given.items():
+    for name, value in options.items():
         if value is not None and value is not False:
             raise UserError(f"{name} has no effect {context}; {advice}.")
 
@@ -103,7 +103,7 @@ def names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
 
 
-def chosen(signals: str | None) -> list[str] | None:
+def parse_signals(signals: str | None) -> list[str] | None:
     """Return the requested signals: None if not given, an empty list for all."""
     return None if signals is None else [] if signals.strip() == "all" else names(signals)
 
@@ -117,14 +117,14 @@ def _require_name(out: str | None) -> str | None:
     return out
 
 
-def option(text: str, *names: str, **given: Any) -> Any:
+def option(text: str, *names: str, **kwargs: Any) -> Any:
     """Return an option with this help text."""
-    return typer.Option(*names, help=text, **given)
+    return typer.Option(*names, help=text, **kwargs)
 
 
-def argument(text: str, **given: Any) -> Any:
+def argument(text: str, **kwargs: Any) -> Any:
     """Return an argument with this help text."""
-    return typer.Argument(help=text, **given)
+    return typer.Argument(help=text, **kwargs)
 
 
 def out(text: str) -> Any:

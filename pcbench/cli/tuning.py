@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pcbench import toml_text
 from pcbench.cli.options import Json, Late, Observer, Quiet, Scenario, Set, Signal
-from pcbench.cli.shared import console, names, option, out, require_effect, setup, working
+from pcbench.cli.shared import console, names, option, out, require_effect, setup, show_progress
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError
 from pcbench.toml_text import TomlTable
@@ -55,19 +55,19 @@ def design(
     if file is not None:
         _may_write(Path(file))
     with config.float64():
-        study, cell, found = design.design(scenario, observer, gain=gain, overrides=changes)
-        text = design.to_toml(design.as_study(study, cell, observer, found)) if file is not None else ""
+        study, cell, result = design.design(scenario, observer, gain=gain, overrides=changes)
+        text = design.to_toml(design.as_study(study, cell, observer, result)) if file is not None else ""
     if file is not None:
         target = storage.target(Path(file).parent)
         storage.make(target)
         storage.put(target, Path(file).name, text.encode())
     if as_json:
-        fields = found.certificate._asdict()
+        fields = result.certificate._asdict()
         print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))
     else:
         screen = console()
         screen.print(f"{observer} in {scenario}", style="bold")
-        gains.gains(found, screen)
+        gains.gains(result, screen)
         if file is not None:
             screen.say(f"Run it: pcbench run {file}")
 
@@ -75,22 +75,22 @@ def design(
 def _may_write(out: Path) -> None:
     """Raise UserError if the file exists and is not the output of a design."""
     try:
-        there = out.read_text(encoding="utf-8") if out.is_file() else "[resolved.certificate]"
+        text = out.read_text(encoding="utf-8") if out.is_file() else "[resolved.certificate]"
     except (OSError, ValueError):
-        there = ""
-    if "[resolved.certificate]" not in there:
+        text = ""
+    if "[resolved.certificate]" not in text:
         raise UserError(f"--out {out}: this file exists and is no design, expected a new file; give another name.")
 
 
 def _values(text: str) -> tuple[str, list[object]]:
     """Return the option and the values of OPTION=A,B,...; values are TOML, or plain words."""
-    option, equals, given = text.partition("=")
-    if not equals or not option.strip() or not given.strip():
+    option, equals, listing = text.partition("=")
+    if not equals or not option.strip() or not listing.strip():
         raise UserError(f"--sweep: got '{text}', expected OPTION=A,B,... such as decay=0.2,0.5,1.")
     try:
-        values = toml_text.parse(f"values = [{given}]")["values"]
+        values = toml_text.parse(f"values = [{listing}]")["values"]
     except ValueError:
-        values = [each.strip() for each in given.split(",")]
+        values = [v.strip() for v in listing.split(",")]
     return option.strip(), values
 
 
@@ -153,17 +153,17 @@ def tune(
         "--validation-seeds": validation_seeds,
         "--exact-objective": exact_objective or None,
     }
-    if log is not None and (given := [name for name, value in of_runs.items() if value is not None]):
+    if log is not None and (conflicts := [name for name, value in of_runs.items() if value is not None]):
         raise UserError(
-            f"{given[0]} has no effect with --log: the objective on a recording is its likelihood; leave "
-            f"{' and '.join(given)} out, or --log."
+            f"{conflicts[0]} has no effect with --log: the objective on a recording is its likelihood; leave "
+            f"{' and '.join(conflicts)} out, or --log."
         )
     if log is None:
         of_a_log = {"--delay": delay, "--find-delay": find_delay, "--max-delay": max_delay}
         require_effect(of_a_log, "without --log", "leave it out, or give --log")
     options: TomlTable = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
-    with working(quiet or as_json, "designing gains") as options["progress"]:
+    with show_progress(quiet or as_json, "designing gains") as options["progress"]:
         if log is not None:
             from pcbench.playback.tuning import tune_log
 
@@ -171,7 +171,7 @@ def tune(
                 log, scenario, observer, delay=delay, find_delay=find_delay, max_delay=max_delay, **options
             )
         else:
-            found = tune.tune(
+            tuning = tune.tune(
                 scenario,
                 observer,
                 objective=objective,
@@ -195,13 +195,13 @@ def tune(
         elif not quiet:
             gains.tuned_on_log(on_log, observer, log, folder, console())
     elif as_json:
-        summary: TomlTable = {"start": found.start, "found": found.found, "kept_start": found.kept_start}
-        goal = {"metric": found.objective.metric, "signal": found.objective.name, "unit": found.objective.unit}
-        summary |= {"goal": goal, "certified": found.certified, "exact": found.exact}
-        summary |= {"judged": [history.plain(j) for j in found.judged]}
-        print(json.dumps(summary | {"points": len(found.points), "method": found.method}, indent=2))
+        summary: TomlTable = {"start": tuning.start, "found": tuning.found, "kept_start": tuning.kept_start}
+        goal = {"metric": tuning.objective.metric, "signal": tuning.objective.name, "unit": tuning.objective.unit}
+        summary |= {"goal": goal, "certified": tuning.certified, "exact": tuning.exact}
+        summary |= {"judged": [history.plain(j) for j in tuning.judged]}
+        print(json.dumps(summary | {"points": len(tuning.points), "method": tuning.method}, indent=2))
     elif not quiet:
-        gains.print_tuning(found, observer, folder, console())
+        gains.print_tuning(tuning, observer, folder, console())
 
 
 def _seeds(text: str | None, where: str, default: Seeds) -> Seeds:

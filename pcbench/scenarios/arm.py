@@ -24,7 +24,7 @@ LINEAR = {  # the arm without gravity, for which the printed gains were computed
     "C": ((0, 1, 0, 0), (0, 0, 1, 0)),
     "E": ((0,), (1,), (0,), (0,)),
 }
-LABELS = {f"{name}-{what}": option for name in PRINTED for what, option in VARIANTS.items()}
+LABELS = {f"{name}-{variant}": option for name in PRINTED for variant, option in VARIANTS.items()}
 
 SINE = Scenario(
     name="arm/sine",

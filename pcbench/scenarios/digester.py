@@ -20,15 +20,15 @@ PER_DAY = (0.016, 0.555, 0.563, 0.9584, 1.263, 2.816, 2.654, 0.972, 2.894, 0.01,
 CHANGES = tuple(DAY * days for days in (0.0, 2.5, 3.0, 5.5, 6.5))  # s
 
 
-def _fed(first: float, second: float) -> tuple[Table, ...]:
+def _feed(first: float, second: float) -> tuple[Table, ...]:
     """Return the feed as its deviation from its mean over the week; the portions in L/d."""
     mean = (first / 2 + second) / 7
     return (Table(CHANGES, tuple((portion - mean,) for portion in (0.0, first, 0.0, second, 0.0))),)
 
 
-def _too_little(nitrogen: float, substrates: tuple[float, ...]) -> tuple[float, ...]:
+def _initial_deviation(nitrogen: float, substrates: tuple[float, ...]) -> tuple[float, ...]:
     """Return deviations [12]: a quarter less than at rest, of nitrogen and of the substrates and biomass [5]."""
-    return (0.0, 0.0, -nitrogen / 4, 0.0, *(-each / 4 for each in substrates), 0.0, 0.0, 0.0)
+    return (0.0, 0.0, -nitrogen / 4, 0.0, *(-value / 4 for value in substrates), 0.0, 0.0, 0.0)
 
 
 MULTIRATE = Scenario(
@@ -38,7 +38,7 @@ MULTIRATE = Scenario(
     plant="digester",
     observers=("ekf", "kf", "kf-ignore-delay", "model-only"),
     truth=Truth(x0=(0.0,) * 12),
-    loop=Loop(input=_fed(42.0, 18.0)),
+    loop=Loop(input=_feed(42.0, 18.0)),
     sampling=Sampling(
         sampling_period=(4 * TICK,) * 3 + (DAY,) * 3,
         sampling_phase=(0.0,) * 3 + (22 * TICK,) * 3,
@@ -46,9 +46,9 @@ MULTIRATE = Scenario(
         noise_std=(4.8, 0.002, 0.002, 0.12, 0.0173, 0.0031),
     ),
     belief=Belief(
-        xhat0=_too_little(0.987, (2.16, 8.08, 1.16, 0.507, 2.02)),
+        xhat0=_initial_deviation(0.987, (2.16, 8.08, 1.16, 0.507, 2.02)),
         prior_std=(1.0,) * 12,
-        assumed_process_std=tuple(sqrt(each * TICK / DAY) for each in PER_DAY),
+        assumed_process_std=tuple(sqrt(variance * TICK / DAY) for variance in PER_DAY),
     ),
     scoring=Scoring(
         settle_band=(0.01, 0.05, 0.1, 1.0, 0.5, 1.0, 0.5, 0.2, 0.5, 0.5, 0.01, 0.02),
@@ -65,7 +65,7 @@ DIGESTER = (
         name="digester/printed-feed",
         summary="as multirate, with the larger feed of the public program",
         model={"point": "printed"},
-        input=_fed(1008.0, 432.0),
-        xhat0=_too_little(0.651, (9.86, 11.5, 4.14, 1.29, 0.405)),
+        input=_feed(1008.0, 432.0),
+        xhat0=_initial_deviation(0.651, (9.86, 11.5, 4.14, 1.29, 0.405)),
     ),
 )

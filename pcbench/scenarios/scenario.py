@@ -182,7 +182,7 @@ class Scenario(NamedTuple):
 
         For user-defined code the value is its digest.
         """
-        code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
+        code = {"code": {kind: plugin.code.digest for kind, plugin in self.own.items()}} if self.own else {}
         fields = {name: value for name, value in self._asdict().items() if name not in (*RECORDS, *CODE)}
         for record in RECORDS:
             fields |= getattr(self, record)._asdict()

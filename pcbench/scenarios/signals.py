@@ -103,25 +103,25 @@ SINGLE = [name for name in SIGNALS if not name.startswith("heater")]  # with one
 JUMPS = {"sawtooth": np.pi, "rising": np.pi, "square": 1.0, "arm-sawtooth": 2.0}  # [s] from one to the next
 
 
-def jumps(given: Sources, dt: float, ticks: int) -> NDArray[np.int64]:
+def jumps(signal: Sources, dt: float, ticks: int) -> NDArray[np.int64]:
     """Return the first tick after every jump of a signal (or of one of several) after t = 0, up to `ticks`."""
     out = set()
-    for part in parts(given):
+    for part in parts(signal):
         if not isinstance(part, str):
             out |= set(sources.jumps(part, dt, ticks))
         elif part in JUMPS:
-            every = JUMPS[part]
-            out |= {math.ceil(i * every / dt - 1e-6) for i in range(1, int(ticks * dt / every) + 2)}
+            interval = JUMPS[part]
+            out |= {math.ceil(i * interval / dt - 1e-6) for i in range(1, int(ticks * dt / interval) + 2)}
     return np.array(sorted(tick for tick in out if tick <= ticks), int)
 
 
-def inputs(given: Sources, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:
+def inputs(signal: Sources, t: NDArray[np.float64], m: int) -> NDArray[np.float64]:
     """Return u [N, m] for m inputs: one signal for all of them, or one for each, with commas between the names."""
-    each = [SIGNALS[part](t) if isinstance(part, str) else sources.values(part, t) for part in parts(given)]
-    u = np.hstack(each)
-    return u if u.shape[1] == many else np.hstack(each * many)
+    columns = [SIGNALS[part](t) if isinstance(part, str) else sources.values(part, t) for part in parts(signal)]
+    u = np.hstack(columns)
+    return u if u.shape[1] == m else np.hstack(columns * m)
 
 
-def parts(given: Sources) -> list[Source]:
+def parts(signal: Sources) -> list[Source]:
     """Return the signals, one by one."""
-    return [name.strip() for name in given.split(",")] if isinstance(given, str) else list(given)
+    return [name.strip() for name in signal.split(",")] if isinstance(signal, str) else list(signal)

@@ -48,23 +48,24 @@ def values(source: Wave | Table, t: NDArray[np.float64]) -> NDArray[np.float64]:
         shape = SHAPES[source.shape](source.frequency * t + source.phase / (2 * np.pi))
         return (source.offset + source.amplitude * shape)[:, None]
     times, u = np.array(source.t), np.array(source.u)
-    near = NEAR * (times[1] - times[0] if len(times) > 1 else 1.0)
-    return np.vstack([np.zeros(u.shape[1]), u])[np.searchsorted(times - near, t, side="right")]
+    tolerance = NEAR * (times[1] - times[0] if len(times) > 1 else 1.0)
+    return np.vstack([np.zeros(u.shape[1]), u])[np.searchsorted(times - tolerance, t, side="right")]
 
 
-def units(given: Sources, many: int) -> list[str]:
-    """Return the unit of each of `many` inputs; empty if no wave has one."""
-    each = [""] if isinstance(given, str) else [part.unit if isinstance(part, Wave) else "" for part in given]
-    return each if len(each) == many else each[:1] * many
+def units(sources: Sources, n: int) -> list[str]:
+    """Return the unit of each of `n` inputs; empty if no wave has one."""
+    names = [""] if isinstance(sources, str) else [part.unit if isinstance(part, Wave) else "" for part in sources]
+    return names if len(names) == n else names[:1] * n
 
 
 def jumps(source: Wave | Table, dt: float, ticks: int) -> list[int]:
     """Return the first tick after every jump of a wave after t = 0, up to `ticks`; empty for a table."""
     if not isinstance(source, Wave) or source.shape not in JUMPS_A_CYCLE or not source.frequency:
         return []
-    each = JUMPS_A_CYCLE[source.shape]
+    per_cycle = JUMPS_A_CYCLE[source.shape]
     start, end = source.phase / (2 * np.pi), source.frequency * dt * ticks + source.phase / (2 * np.pi)
     at = [
-        (i / each - start) / source.frequency for i in range(math.floor(start * each) + 1, math.floor(end * each) + 1)
+        (i / per_cycle - start) / source.frequency
+        for i in range(math.floor(start * per_cycle) + 1, math.floor(end * per_cycle) + 1)
     ]
     return [math.ceil(t / dt - 1e-6) for t in at if t > 1e-6 * dt]

@@ -241,9 +241,9 @@ def test_a_table_in_a_file_is_as_wide_as_columns_says(said, width, monkeypatch):
 
 
 def test_signals_are_a_list_with_commas_or_all():
-    assert shared.chosen("position, velocity") == ["position", "velocity"]
-    assert shared.chosen(" all ") == []
-    assert shared.chosen(None) is None
+    assert shared.parse_signals("position, velocity") == ["position", "velocity"]
+    assert shared.parse_signals(" all ") == []
+    assert shared.parse_signals(None) is None
 
 
 @pytest.mark.nightly

@@ -39,7 +39,7 @@ def test_claims_are_counted_by_verdict_and_findings_apart():
     rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
     text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that are in no paper."
     assert folder.summary(rows) == text
-    assert text in printed(folder.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
+    assert text in printed(folder.all_claims, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
 
 
 def test_a_comparison_shows_both_sides_with_two_standard_errors():

@@ -32,22 +32,27 @@ def gains(design: Design, screen: Screen) -> None:
     promise = f"{c.rate:.6g} 1/s or faster" if np.isfinite(c.rate) else "not guaranteed"
     screen.print(f"decay rate of the errors: {promise}", highlight=True)
     for name, value in c.numbers.items():
-        wide = max(screen.width - len(name) - 3, 20)
-        body = np.array2string(np.asarray(value), wide, precision=12, separator=", ", suppress_small=False)
+        width = max(screen.width - len(name) - 3, 20)
+        body = np.array2string(np.asarray(value), width, precision=12, separator=", ", suppress_small=False)
         screen.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", highlight=True)
 
 
 def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
     """Print a trade-off: the option, the guaranteed rate, and the other numbers that change."""
     option = table.columns[0]
-    fixed = [option, "rate", "margin", "solver"]
-    moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
-    heads = [head + (" [1/s]" if head == "rate" else "") for head in (*fixed, *moving)]
+    constant_names = [option, "rate", "margin", "solver"]
+    variable_names = [
+        c for c in table.columns if c not in (*constant_names, "fallback", "refused") and table[c].nunique() > 1
+    ]
+    heads = [head + (" [1/s]" if head == "rate" else "") for head in (*constant_names, *variable_names)]
     designs = table[table.refused == ""]
-    values = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]] for name in (*fixed, *moving)]
+    values = [
+        [f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]]
+        for name in (*constant_names, *variable_names)
+    ]
     columns = [Column(head, cells, left=head == option) for head, cells in zip(heads, values, strict=True)]
     screen.fit(mark_uncertified(title, table.certified), columns)
-    if len(designs) > 1 and not moving and designs.rate.nunique() <= 1:
+    if len(designs) > 1 and not variable_names and designs.rate.nunique() <= 1:
         screen.print(f"{option} has no effect here: these gains do not depend on it; use another --gain.")
     screen.say_unproven(table.certified)
     for row in table[table.refused != ""].to_dict("records"):
@@ -56,26 +61,26 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
         screen.print(f"{option} = {row[option]}, fallback: {row['fallback']}")
 
 
-def print_tuning(found: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
+def print_tuning(tuning: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
     """Print a tuning: start and tuned options with their metric on training and validation seeds."""
-    aim, judged, of_runs = found.objective, found.judged, not found.exact
-    columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
+    aim, validations, of_runs = tuning.objective, tuning.judged, not tuning.exact
+    columns = [Column("seeds", [str(j.seeds) for j in validations], left=True)] if of_runs else []
     columns += [
-        Column("", [j.what for j in judged], left=True),
-        Column("start", [mean(j.start, j.start_se) for j in judged]),
-        Column("tuned", [mean(j.tuned, j.tuned_se) for j in judged]),
-        Column("tuned - start", [mean(j.difference, j.difference_se, "+") for j in judged]),
+        Column("", [j.what for j in validations], left=True),
+        Column("start", [mean(j.start, j.start_se) for j in validations]),
+        Column("tuned", [mean(j.tuned, j.tuned_se) for j in validations]),
+        Column("tuned - start", [mean(j.difference, j.difference_se, "+") for j in validations]),
     ]
     if of_runs:
-        columns.append(Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in judged], spare=1))
-    what = ("" if of_runs else "expected ") + ("mean square" if aim.metric != aim.base else aim.metric)
-    name, points = mark_uncertified(observer, [found.certified]), f"{len(found.points)} points by {found.method}"
-    screen.fit(f"{name}: {what} of {aim.name}, {points}", columns)
-    screen.say_unproven([found.certified])
-    for name, value in found.found.items():
-        screen.print(f"{name} = {_option(value)}   (start: {_option(found.start[name])})")
-    if found.kept_start:
-        screen.print(f"The start is kept: {found.kept_start}.")
+        columns.append(Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in validations], spare=1))
+    quantity = ("" if of_runs else "expected ") + ("mean square" if aim.metric != aim.base else aim.metric)
+    name, points = mark_uncertified(observer, [tuning.certified]), f"{len(tuning.points)} points by {tuning.method}"
+    screen.fit(f"{name}: {quantity} of {aim.name}, {points}", columns)
+    screen.say_unproven([tuning.certified])
+    for name, value in tuning.found.items():
+        screen.print(f"{name} = {_option(value)}   (start: {_option(tuning.start[name])})")
+    if tuning.kept_start:
+        screen.print(f"The start is kept: {tuning.kept_start}.")
     if folder is not None:
         rival = "model-only" if observer == "kf" else "kf"
         label = label_of(observer)
@@ -88,17 +93,17 @@ def _option(value: object) -> str:
     return "[" + ", ".join(map(_option, value)) + "]" if isinstance(value, list | tuple) else f"{value:.6g}"
 
 
-def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None, screen: Screen) -> None:
+def tuned_on_log(tuning: "LogTuning", observer: str, log: str, folder: str | None, screen: Screen) -> None:
     """Print the delays, the tuned intensities, and compare start and tuned on the held-out part."""
-    if found.delays:
+    if tuning.delays:
         columns = [
-            Column("channel", [d.channel for d in found.delays], left=True),
-            Column("delay [s]", [f"{d.estimate:.4g}" for d in found.delays]),
-            Column("95 % interval", [f"{d.low:.4g} to {d.high:.4g}" for d in found.delays]),
-            Column("searched", [f"{d.searched[0]:.4g} to {d.searched[1]:.4g}" for d in found.delays], spare=1),
+            Column("channel", [d.channel for d in tuning.delays], left=True),
+            Column("delay [s]", [f"{d.estimate:.4g}" for d in tuning.delays]),
+            Column("95 % interval", [f"{d.low:.4g} to {d.high:.4g}" for d in tuning.delays]),
+            Column("searched", [f"{d.searched[0]:.4g} to {d.searched[1]:.4g}" for d in tuning.delays], spare=1),
         ]
         screen.fit("delay: time from the physical instant of a measurement to its recorded timestamp", columns)
-    rows, held = found.intensities, found.held_out.values()
+    rows, scores = tuning.intensities, tuning.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
     roots = [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
     columns = [
@@ -108,21 +113,21 @@ def tuned_on_log(found: "LogTuning", observer: str, log: str, folder: str | None
         Column("95 % interval", ["-" if np.isnan(i.low) else end for i, end in zip(rows, ends, strict=True)]),
         Column("root", roots, spare=1),
     ]
-    screen.fit(f"{observer}: maximum likelihood on {log}, {len(found.points)} points by descent", columns)
+    screen.fit(f"{observer}: maximum likelihood on {log}, {len(tuning.points)} points by descent", columns)
     columns = [
-        Column("held out", list(found.held_out), left=True),
-        Column("log-likelihood\nper value", [f"{each['log_likelihood']:.4g}" for each in held]),
-        Column("NIS", [f"{each['nis']:.3f}" for each in held]),
-        Column("verdict", [str(each["verdict"]) for each in held], left=True),
-        Column("ljung_box_p", [f"{each['ljung_box_p']:.3g}" for each in held]),
+        Column("held out", list(tuning.held_out), left=True),
+        Column("log-likelihood\nper value", [f"{s['log_likelihood']:.4g}" for s in scores]),
+        Column("NIS", [f"{s['nis']:.3f}" for s in scores]),
+        Column("verdict", [str(s["verdict"]) for s in scores], left=True),
+        Column("ljung_box_p", [f"{s['ljung_box_p']:.3g}" for s in scores]),
     ]
-    samples = found.held_out["tuned"]["samples"]
+    samples = tuning.held_out["tuned"]["samples"]
     screen.fit(f"test on the last part ({samples} samples), after tuning on the first part only", columns)
-    screen.say(f"tuned - start: {found.gain:+.4g} (standard error {found.gain_se:.2g}).", *found.said)
-    if found.kept_start:
-        screen.say(f"The start is kept: {found.kept_start}.")
+    screen.say(f"tuned - start: {tuning.gain:+.4g} (standard error {tuning.gain_se:.2g}).", *tuning.said)
+    if tuning.kept_start:
+        screen.say(f"The start is kept: {tuning.kept_start}.")
     if folder is not None:
-        plant, log = f"{folder}/tuned.toml", f"{folder}/recording.toml" if found.delays else log
+        plant, log = f"{folder}/tuned.toml", f"{folder}/recording.toml" if tuning.delays else log
         screen.say(f"Replay it: pcbench replay {log} --plant {plant} --observers {observer} --out replayed")
 
 

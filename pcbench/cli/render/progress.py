@@ -16,8 +16,8 @@ class Rate(rich.ProgressColumn):
 
     def render(self, task: rich.Task) -> Text:
         """Show the number of runs per second; nothing if the task does not count runs."""
-        shown = task.speed and task.fields.get("what") == "runs"
-        return Text(f"{task.speed:,.0f} runs/s" if shown else "", style="progress.data.speed")
+        has_rate = task.speed and task.fields.get("what") == "runs"
+        return Text(f"{task.speed:,.0f} runs/s" if has_rate else "", style="progress.data.speed")
 
 
 class Remaining(rich.TimeRemainingColumn):
@@ -52,18 +52,18 @@ def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
 def draw_progress(lines: rich.Progress, first: str = "") -> Progress:
     """Return a Progress that draws lines."""
 
-    def begin(what: str, many: int | None) -> None:
-        what = printable(what)
+    def begin(activity: str, total: int | None) -> None:
+        activity = printable(activity)
         last = lines.tasks[-1] if lines.tasks else None
         if last and last.total is None:
-            lines.update(last.id, description=what, total=many, what=what)
-        elif last and last.fields["what"] == what:
-            lines.update(last.id, description=what, total=(last.total or 0) + (many or 0))
+            lines.update(last.id, description=activity, total=total, what=activity)
+        elif last and last.fields["what"] == activity:
+            lines.update(last.id, description=activity, total=(last.total or 0) + (total or 0))
         else:
-            lines.add_task(what, total=many, what=what)
+            lines.add_task(activity, total=total, what=activity)
 
-    def step(many: int) -> None:
-        lines.advance(lines.tasks[-1].id, many)
+    def step(count: int) -> None:
+        lines.advance(lines.tasks[-1].id, count)
 
     def note(text: str) -> None:
         lines.update(lines.tasks[-1].id, description=printable(text))

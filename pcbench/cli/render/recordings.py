@@ -42,21 +42,21 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
         drift, se = row["drift_ppm"], row["drift_ppm_se"]
         if drift is not None and se is not None and abs(drift) > NOTHING:
             interval = estimate(drift, drift - Z95 * se, drift + Z95 * se)
-            reading = "±: half a 95 % interval, for independent delays"
-            screen.say(f"{row['channel']}: clock drift {interval} ppm ({reading}).")
+            explanation = "±: half a 95 % interval, for independent delays"
+            screen.say(f"{row['channel']}: clock drift {interval} ppm ({explanation}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
     screen.say(*held_values(table.attrs["survey"]))
-    for each in table.attrs["lags"]:
+    for lag in table.attrs["lags"]:
         screen.say(
-            f"{each.second} is {each.lag:.4g} s later than {each.first} (95 % interval {each.low:.4g} to {each.high:.4g} s, "
-            f"correlation of their rates {each.correlation:.2f})."
+            f"{lag.second} is {lag.lag:.4g} s later than {lag.first} (95 % interval {lag.low:.4g} to {lag.high:.4g} s, "
+            f"correlation of their rates {lag.correlation:.2f})."
         )
 
 
 def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
     """Print the contents of a file: one table per topic, one row per field."""
-    for _, mine in groupby(rows, key=lambda row: (row["topic"], row["frame"])):
-        fields = list(mine)
+    for _, group in groupby(rows, key=lambda row: (row["topic"], row["frame"])):
+        fields = list(group)
         first = fields[0]
         where = " ".join(filter(None, [name, first["topic"], first["frame"], f"({first['kind']}),"]))
         start, end = first["first"], first["last"]
@@ -80,32 +80,32 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
 def odd(row: Row) -> list[str]:
     """Return sentences about gaps, order, repetitions and jumps of a channel."""
 
-    def many(what: str, word: str) -> str:
-        return f"{row[what]:,} {word}{'' if row[what] == 1 else 's'}"
+    def count(key: str, word: str) -> str:
+        return f"{row[key]:,} {word}{'' if row[key] == 1 else 's'}"
 
-    def at(what: str) -> str:
-        return f"row {int(row[f'{what}_row'])}"
+    def at(key: str) -> str:
+        return f"row {int(row[f'{key}_row'])}"
 
     out = []
     if row["gaps"]:
         longest = f"the longest {row['longest_gap']:.4g} s before {at('longest_gap')}"
-        out.append(f"{many('gaps', 'gap')} of more than five intervals, {longest}")
+        out.append(f"{count('gaps', 'gap')} of more than five intervals, {longest}")
     if row["out_of_order"]:
         first = f"the first in {at('out_of_order')}"
-        out.append(f"{many('out_of_order', 'out-of-sequence sample')}, {first}")
+        out.append(f"{count('out_of_order', 'out-of-sequence sample')}, {first}")
     if row["doubled"]:
-        out.append(f"{many('doubled', 'repeated timestamp')}, the first in {at('doubled')}")
+        out.append(f"{count('doubled', 'repeated timestamp')}, the first in {at('doubled')}")
     if row["jumps"]:
         largest = f"by up to {row['largest_jump']:.4g} s in {at('largest_jump')}"
-        out.append(f"the delay jumps {many('jumps', 'time')}, {largest}")
+        out.append(f"the delay jumps {count('jumps', 'time')}, {largest}")
     return out
 
 
-def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
+def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
     """Print the innovation tests and errors of observers on a recording."""
-    about = found.summary
-    if len(found.innovations):
-        rows = found.innovations.to_dict("records")
+    about = result.summary
+    if len(result.innovations):
+        rows = result.innovations.to_dict("records")
         axes = [Column(_with_unit(name), [f"{row[name]}" for row in rows]) for name in about.get("axes", [])]
         tests = _innovation_columns(rows)
         columns = [
@@ -120,24 +120,27 @@ def print_replay(found: "ReplayResult", folder: str, screen: Screen) -> None:
         if axes:
             screen.say(f"Also per channel: {folder}/replay.json")
             return
-    if len(found.channels) and (found.channels.channel.nunique() > 1 or found.channels.not_judged.any()):
-        rows = found.channels.to_dict("records")
+    if len(result.channels) and (result.channels.channel.nunique() > 1 or result.channels.not_judged.any()):
+        rows = result.channels.to_dict("records")
         columns = [Column(name, [row[name] for row in rows], left=True) for name in ("observer", "channel")]
         screen.fit(
             "the same per channel",
             [*columns, _count("samples", rows), _count("not_judged", rows), *_innovation_columns(rows)],
         )
-    if len(found.metrics):
+    if len(result.metrics):
         _by_signal(
-            found.metrics[found.metrics.metric == "steady_rmse"], "value", "steady_rmse against the true states", screen
+            result.metrics[result.metrics.metric == "steady_rmse"],
+            "value",
+            "steady_rmse against the true states",
+            screen,
         )
-    if len(found.distances):
+    if len(result.distances):
         title = f"rms distance to the smoother from {about['steady_start']:g} s on (steady_start)"
-        _by_signal(found.distances, "rms", title, screen)
+        _by_signal(result.distances, "rms", title, screen)
         screen.say("Compare distances only between observers with the same assumptions, such as delays and noise.")
-    off, ticks = about["largest_rounding"], about["ticks"] + 1
+    rounding, ticks = about["largest_rounding"], about["ticks"] + 1
     screen.say(
-        f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {off:.3g} s.",
+        f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {rounding:.3g} s.",
         f"Estimates tick by tick: {folder}/estimates.parquet. Draw them: pcbench report {folder}",
     )
 
@@ -161,10 +164,10 @@ def _innovation_columns(rows: Rows) -> list[Column]:
 
 def _by_signal(table: pd.DataFrame, value: str, title: str, screen: Screen) -> None:
     """Print one row per observer and one column per signal."""
-    wide = table.pivot(index="observer", columns="signal", values=value)
-    columns = [Column("observer", list(wide.index), left=True)]
+    pivot = table.pivot(index="observer", columns="signal", values=value)
+    columns = [Column("observer", list(pivot.index), left=True)]
     for signal, unit in dict(zip(table.signal, table.unit, strict=True)).items():
-        columns.append(Column(f"{signal}\n[{unit}]", [_plain(float(v)) for v in wide[signal].to_numpy(float)]))
+        columns.append(Column(f"{signal}\n[{unit}]", [_plain(float(v)) for v in pivot[signal].to_numpy(float)]))
     screen.fit(title, columns)
 
 
@@ -176,9 +179,9 @@ def _plain(value: float | None, scale: float = 1.0) -> str:
     return "0" if value is not None and abs(value) <= NOTHING else number(None if value is None else value * scale)
 
 
-def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, screen: Screen) -> None:
+def table(result: Any, double: dict[str, Any], single: dict[str, Any], source: str, screen: Screen) -> None:
     """Print the differences between C and a simulation, or the replay `of` a recording, in both precisions, and the errors."""
-    about = found.about
+    about = result.about
     names = [name for name, _ in about.signals if name in double]
     columns = [
         Column("signal", [f"{name} [{unit}]" for name, unit in about.signals if name in double], left=True),
@@ -188,11 +191,11 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, s
         Column("largest diff.", [f"{single[name].most:.2g}" for name in names], spare=1),
         Column("rms error", [f"{single[name].error:.6g}" for name in names]),
     ]
-    if all(math.isnan(each.error) for each in (*double.values(), *single.values())):  # a recording without truth
+    if all(math.isnan(e.error) for e in (*double.values(), *single.values())):  # a recording without truth
         columns = [column for column in columns if column.head != "rms error"]
     newer = f"at most {about.newer}" if about.newer else "no"
     oldest = (
         f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s), if {newer} newer measurement"
     )
     oldest += f"{'s' * (about.newer > 1)} arrived before it"
-    screen.fit(f"{about.observer} of {about.scenario} in C, on {of}; {oldest}", columns)
+    screen.fit(f"{about.observer} of {about.scenario} in C, on {source}; {oldest}", columns)

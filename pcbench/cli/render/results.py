@@ -53,10 +53,10 @@ class View(NamedTuple):
     @property
     def title(self) -> str:
         """Return scenario, signal with its unit, and number of runs; for exact numbers the number of averaged schedules."""
-        ranked = self.stats[self.stats.metric == self.metric]
-        runs = ranked[ranked.method == "runs"]
-        many, drawn = int((runs.n + runs.diverged).max() if len(runs) else 0), int(ranked.n.max())
-        seeds = f"{many:,} seeds" if many else f"exact, {drawn:,} schedules" if drawn else "exact"
+        rows = self.stats[self.stats.metric == self.metric]
+        runs = rows[rows.method == "runs"]
+        n_runs, n_schedules = int((runs.n + runs.diverged).max() if len(runs) else 0), int(rows.n.max())
+        seeds = f"{n_runs:,} seeds" if n_runs else f"exact, {n_schedules:,} schedules" if n_schedules else "exact"
         return f"{self.scenario.name}: error of {self.stats.signal.iloc[0]} [{self.unit}], {seeds}"
 
     @property
@@ -72,31 +72,31 @@ def closing(
 
     For each scenario the `signals` that it has; None: its main signals; an empty list: all.
     """
-    stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
+    stats, pairs, scenarios = result.stats, result.pairs, scenarios_of(result.study)
     metric = result.ranks(metric)
     notes: dict[str, None] = {}
     for name, rows in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
-        existing = list(dict.fromkeys(rows.signal))
-        usual = existing[:1] if metric in OF_RUN else known[name].scoring.headline or existing[:1]
-        chosen = usual if signals is None else signals or existing
-        for signal in [s for s in chosen if s in existing]:
-            own = rows.signal == signal
-            part = pd.concat([rows[own], rows[~own & rows.metric.isin(OF_RUN)]])  # metrics with one number per run
-            met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            shown = known[name]._replace(name=title_of_scenario(result.study, name))
-            view = View(shown, part, met, metric, None if costs is None else costs[costs.scenario == name])
+        available = list(dict.fromkeys(rows.signal))
+        headline = available[:1] if metric in OF_RUN else scenarios[name].scoring.headline or available[:1]
+        selection = headline if signals is None else signals or available
+        for signal in [s for s in selection if s in available]:
+            mask = rows.signal == signal
+            part = pd.concat([rows[mask], rows[~mask & rows.metric.isin(OF_RUN)]])  # metrics with one number per run
+            signal_pairs = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
+            scenario = scenarios[name]._replace(name=title_of_scenario(result.study, name))
+            view = View(scenario, part, signal_pairs, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
                 screen.print(f"{title_of_scenario(result.study, name)}: {signal} has no {metric}.")
             else:
-                many = part.cell.nunique() * part.observer.nunique() > LONGEST
-                notes |= dict.fromkeys((_count_wins if many else _print_cells)(view, screen))
-        carries = rows[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
-        for yes, text in ((True, "includes"), (False, "does not include")):
-            if names := ", ".join(dict.fromkeys(carries.observer[carries.predicts_unknown_input == yes])):
+                is_large = part.cell.nunique() * part.observer.nunique() > LONGEST
+                notes |= dict.fromkeys((_count_wins if is_large else _print_cells)(view, screen))
+        predictions = rows[["observer", "predicts_unknown_input"]].dropna().drop_duplicates()
+        for value, text in ((True, "includes"), (False, "does not include")):
+            if names := ", ".join(dict.fromkeys(predictions.observer[predictions.predicts_unknown_input == value])):
                 screen.print(f"The prediction to the present {text} the estimated unknown input: {names}.")
         notes |= dict.fromkeys(print_consistency(name, rows, screen))
         screen.say(*filter(None, [result.unproven(name)]))
-        if sentence := settles_sentence(known[name], result.study.axes):
+        if sentence := settles_sentence(scenarios[name], result.study.axes):
             screen.print(sentence)
     for note in [*notes, *([COSTS] if costs is not None else [])]:
         screen.print(note)
@@ -105,8 +105,8 @@ def closing(
 def _print_cells(view: View, screen: Screen) -> list[str]:
     """Print the grid points in one table, or separately if that is too wide; return notes for the reader."""
     names = list(view.stats.columns)
-    varied = names[names.index("cell") + 1 : names.index("signal")]
-    axes = [a for a in varied if view.stats[a].astype(str).nunique() > 1]
+    axis_columns = names[names.index("cell") + 1 : names.index("signal")]
+    axes = [a for a in axis_columns if view.stats[a].astype(str).nunique() > 1]
     cells = [cell for _, cell in view.stats.groupby("cell", sort=True)]
     groups = [(view.title, cells, _columns(view, cells, axes))]
     if axes and not screen.fits(groups[0][2]):
@@ -117,8 +117,8 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
         ]
     missing: dict[str, None] = {}
     for title, group, columns in groups:
-        many = [cell.observer.nunique() for cell in group]
-        missing |= dict.fromkeys(screen.fit(title, columns, many, named=False))
+        sections = [cell.observer.nunique() for cell in group]
+        missing |= dict.fromkeys(screen.fit(title, columns, sections, named=False))
     methods = set(view.stats.method)
     notes = [EXACT] if "exact" in methods else []
     notes += [HALF] if "exact" not in methods or "runs" in methods else []
@@ -130,28 +130,28 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
 def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
     """Return the columns for some grid points, best observers first: the metric, the difference to the best, and others."""
     metric, costs = view.metric, view.costs
-    filled = set(view.stats.metric[view.stats["mean"].notna()])
-    exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - filled else []
-    extra = [m for m in (*exact, *EXTRA_METRICS, SQUARE) if m in filled and m != metric]
+    metrics = set(view.stats.metric[view.stats["mean"].notna()])
+    exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - metrics else []
+    extra = [m for m in (*exact, *EXTRA_METRICS, SQUARE) if m in metrics and m != metric]
     cost = COST if costs is not None else ()
     values: dict[str, list[str]] = {
         name: [] for name in (*axes, "observer", metric, LESS, *extra, "divergence_rate", *cost)
     }
     bold: set[int] = set()
     for cell in cells:
-        number, wide = cell.cell.iloc[0], cell.set_index(["observer", "metric"])
-        met = view.pairs[view.pairs.cell == number]
-        found = standing(cell[cell.metric == metric], met)
-        for observer in found.order:
-            best = observer == found.order[0]
-            if observer in found.leaders:
+        number, by_metric = cell.cell.iloc[0], cell.set_index(["observer", "metric"])
+        cell_pairs = view.pairs[view.pairs.cell == number]
+        ranking = standing(cell[cell.metric == metric], cell_pairs)
+        for observer in ranking.order:
+            best = observer == ranking.order[0]
+            if observer in ranking.leaders:
                 bold.add(len(values["observer"]))
             row = {axis: _axis_value(cell[axis].iloc[0]) if best else "" for axis in axes}
-            row["observer"] = mark_uncertified(observer, [wide.loc[(observer, metric), "certified"]])
-            row[metric] = interval(wide.loc[observer, metric])
-            row[LESS] = "" if best else difference(met, observer, found.order[0])
-            row |= {name: _format_metric(wide, observer, name, view.scenario.duration) for name in extra}
-            row["divergence_rate"] = fraction(wide.loc[observer, "divergence_rate"])
+            row["observer"] = mark_uncertified(observer, [by_metric.loc[(observer, metric), "certified"]])
+            row[metric] = interval(by_metric.loc[observer, metric])
+            row[LESS] = "" if best else difference(cell_pairs, observer, ranking.order[0])
+            row |= {name: _format_metric(by_metric, observer, name, view.scenario.duration) for name in extra}
+            row["divergence_rate"] = fraction(by_metric.loc[observer, "divergence_rate"])
             if costs is not None:
                 counts = costs[(costs.cell == number) & (costs.observer == observer)]
                 row |= {name: f"{counts[name].iloc[0]:,}" if len(counts) else "" for name in cost}
@@ -160,8 +160,8 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
 
     def head(name: str) -> str:
         """Return a metric's name, with its unit if it differs from the signal's, and its statistic if that is not the mean."""
-        own = unit_of(name, view.unit)
-        unit = f" [{own}]" if own not in (view.unit, "1") else ""
+        metric_unit = unit_of(name, view.unit)
+        unit = f" [{metric_unit}]" if metric_unit not in (view.unit, "1") else ""
         return f"median\n{name}{unit}" if name == "settling_time" and name != metric else name + unit
 
     columns = [Column(axis, values[axis]) for axis in axes]
@@ -175,12 +175,12 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     ]
 
 
-def _format_metric(wide: pd.DataFrame, observer: str, metric: str, horizon: float) -> str:
-    if (observer, metric) not in wide.index:
+def _format_metric(by_metric: pd.DataFrame, observer: str, metric: str, horizon: float) -> str:
+    if (observer, metric) not in by_metric.index:
         return ""
     if metric == SQUARE:
-        return _judgement(wide, observer, metric)
-    row = wide.loc[observer, metric]
+        return _judgement(by_metric, observer, metric)
+    row = by_metric.loc[observer, metric]
     return format_settling_time(row, horizon) if metric == "settling_time" else interval(row)
 
 
@@ -197,29 +197,29 @@ def _axis_value(value: object) -> str:
 def _count_wins(view: View, screen: Screen) -> list[str]:
     """Print how many grid points each observer wins; return notes for the reader."""
     part, metric, name = view.stats[view.stats.metric == view.metric], view.metric, view.scenario.name
-    met = by_cell(view.pairs)
-    leaders = [stood(rows, met.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
-    won = Counter(each[0] for each in leaders if len(each) == 1)
-    led = Counter(observer for each in leaders for observer in each)
-    rows = [(str(observer), own, own["mean"].median()) for observer, own in part.groupby("observer", sort=False)]
-    rows.sort(key=lambda row: (-won[row[0]], np.nan_to_num(row[2], nan=np.inf)))
+    pairs = by_cell(view.pairs)
+    leaders = [stood(rows, pairs.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
+    wins = Counter(group[0] for group in leaders if len(group) == 1)
+    shared_wins = Counter(observer for group in leaders for observer in group)
+    rows = [(str(observer), g, g["mean"].median()) for observer, g in part.groupby("observer", sort=False)]
+    rows.sort(key=lambda row: (-wins[row[0]], np.nan_to_num(row[2], nan=np.inf)))
     columns = [
-        Column("observer", [mark_uncertified(o, own.certified) for o, own, _ in rows], left=True),
-        Column("grid points\nwon", [str(won[o]) for o, _, _ in rows]),
-        Column("as good as\nthe best", [str(led[o]) for o, _, _ in rows]),
+        Column("observer", [mark_uncertified(o, g.certified) for o, g, _ in rows], left=True),
+        Column("grid points\nwon", [str(wins[o]) for o, _, _ in rows]),
+        Column("as good as\nthe best", [str(shared_wins[o]) for o, _, _ in rows]),
         Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),
     ]
-    lost = part.diverged.any()
-    if lost:
-        shares = [100 * own.diverged.sum() / (own.n + own.diverged).sum() for _, own, _ in rows]
+    has_diverged = part.diverged.any()
+    if has_diverged:
+        shares = [100 * g.diverged.sum() / (g.n + g.diverged).sum() for _, g, _ in rows]
         columns.append(Column("runs diverged", [f"{share:.3g} %" for share in shares]))
-    cells, fewest = part.cell.nunique(), " among those with the fewest diverged runs" if lost else ""
+    cells, fewest = part.cell.nunique(), " among those with the fewest diverged runs" if has_diverged else ""
     screen.fit(f"{name}: least {metric} of {part.signal.iloc[0]}{fewest}, over {cells:,} grid points", columns)
     names, most = most_often(leaders)
     return [
         f"An observer wins a grid point if it is significantly better than every other (paired t-test, Holm, 5 %); "
-        f"{cells - won.total():,} of {cells:,} grid points have no winner.",
-        *([f"{name}: {as_good(names, most, cells)}."] if most and not won else []),
+        f"{cells - wins.total():,} of {cells:,} grid points have no winner.",
+        *([f"{name}: {as_good(names, most, cells)}."] if most and not wins else []),
     ]
 
 
@@ -230,42 +230,46 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
     cells = [
         (str(c), r.drop_duplicates(by_observer).set_index(by_observer)) for c, r in part.groupby("cell", sort=False)
     ]
-    rows = [(cell, o, wide) for cell, wide in cells for o in dict.fromkeys(wide.index.get_level_values("observer"))]
-    judged = {metric: [_judgement(wide, o, metric) for _, o, wide in rows] for metric in SQUARES}
-    if not any(text for texts in judged.values() for text in texts):
+    rows = [
+        (cell, o, by_metric)
+        for cell, by_metric in cells
+        for o in dict.fromkeys(by_metric.index.get_level_values("observer"))
+    ]
+    verdicts = {metric: [_judgement(by_metric, o, metric) for _, o, by_metric in rows] for metric in SQUARES}
+    if not any(text for texts in verdicts.values() for text in texts):
         return []
     names = [o for _, o, _ in rows]
     columns = [Column("grid point", [cell for cell, _, _ in rows])] if len(cells) > 1 else []
     columns.append(Column("observer", names, left=True))
     if len(rows) > LONGEST_CONSISTENCY:
         columns = [Column("observer", list(dict.fromkeys(names)), left=True)]
-    for metric, texts in judged.items():
+    for metric, texts in verdicts.items():
         if len(rows) > LONGEST_CONSISTENCY:
             words: dict[str, Counter[str]] = {o: Counter() for o in names}
             for o, text in zip(names, texts, strict=True):
                 words[o].update(filter(None, [text.partition(" ")[2]]))
-            counts = [", ".join(f"{word} {n}" for word, n in each.most_common()) for each in words.values()]
+            counts = [", ".join(f"{word} {n}" for word, n in counter.most_common()) for counter in words.values()]
             columns.append(Column(f"{metric}: grid points", counts, left=True))
         else:
-            bands = [_band(wide, o, metric) for _, o, wide in rows]
-            around = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
-            columns.append(Column(metric, [t and t + a for t, a in zip(texts, around, strict=True)], left=True))
+            bands = [_band(by_metric, o, metric) for _, o, by_metric in rows]
+            suffixes = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
+            columns.append(Column(metric, [t and t + a for t, a in zip(texts, suffixes, strict=True)], left=True))
     screen.fit(f"{name}: consistency of the filters", [c for c in columns if any(c.cells)])
     return [MEANS]
 
 
-def _judgement(wide: Any, observer: str, metric: str) -> str:
+def _judgement(by_metric: Any, observer: str, metric: str) -> str:
     """Return a mean normalized square with its verdict, from rows by observer and metric; empty if there is none."""
-    if (observer, metric) not in wide.index or np.isnan(found := wide.loc[(observer, metric), "mean"]):
+    if (observer, metric) not in by_metric.index or np.isnan(value := by_metric.loc[(observer, metric), "mean"]):
         return ""
-    return f"{found:.3g} {verdict(found, _band(wide, observer, metric))}"
+    return f"{value:.3g} {verdict(value, _band(by_metric, observer, metric))}"
 
 
-def _band(wide: Any, observer: str, metric: str) -> Band:
+def _band(by_metric: Any, observer: str, metric: str) -> Band:
     """Return the interval of the mean for a correct covariance; 1 for an exact value."""
-    if (observer, BANDS[metric]) not in wide.index:
+    if (observer, BANDS[metric]) not in by_metric.index:
         return exact_band()
-    row = wide.loc[(observer, BANDS[metric])]
+    row = by_metric.loc[(observer, BANDS[metric])]
     return Band(row["ci_low"], row["ci_high"])
 
 
@@ -307,4 +311,4 @@ def timings(result: Result, seconds: float) -> list[str]:
             ("closing tables", p["closing_seconds"], "statistics of the runs"),
         ]
     rows.append(("the whole study", p["wall_seconds"], f"{p['runs_added']:,} runs" if cost.runs else ""))
-    return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, took, how in rows]
+    return [f"{part:<30}{t:9.2f} s   {note}".rstrip() for part, t, note in rows]

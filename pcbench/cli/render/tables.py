@@ -39,12 +39,12 @@ class Screen(Console):
     Styled text is a `rich.text.Text`, or is printed with `style`.
     """
 
-    def __init__(self, **given: Any):
-        super().__init__(markup=False, emoji=False, highlight=False, **given)
+    def __init__(self, **kwargs: Any):
+        super().__init__(markup=False, emoji=False, highlight=False, **kwargs)
 
-    def render_str(self, text: str, **given: Any) -> Text:
+    def render_str(self, text: str, **kwargs: Any) -> Text:
         """Return a text with its own line breaks."""
-        return super().render_str(printable(text, but="\n"), **given)
+        return super().render_str(printable(text, but="\n"), **kwargs)
 
     def say(self, *sentences: str) -> None:
         """Print sentences, each as one line that the terminal breaks, so that it can be copied."""
@@ -65,15 +65,15 @@ class Screen(Console):
         have no room, or if there is prose, each row is a block of lines. `sections` are the numbers of rows of each part.
         `named`: a line below the table names the columns that are left out.
         """
-        shown, out = list(columns), []
-        while self._needs(shown) > self.width:
-            spare = max(shown, key=lambda c: c.spare)
+        visible, out = list(columns), []
+        while self._needs(visible) > self.width:
+            spare = max(visible, key=lambda c: c.spare)
             if not spare.spare:
                 break
-            shown.remove(spare)
+            visible.remove(spare)
             out.append(spare.head.replace("\n", " "))
         self.print(title, style="italic")
-        parts = [shown] if any(c.prose for c in shown) else self._parts(shown)
+        parts = [visible] if any(c.prose for c in visible) else self._parts(visible)
         if any(self._needs(part) > self.width for part in parts):
             self._print_blocks(columns)
             return []
@@ -125,8 +125,8 @@ def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) ->
         width = None
         if c.prose:
             width, natural = _prose_widths(c)
-            more = min(spare, natural - width)
-            width, spare = width + more, spare - more
+            extra = min(spare, natural - width)
+            width, spare = width + extra, spare - extra
         side: Literal["left", "right"] = "left" if c.left or c.prose else "right"
         table.add_column(c.head, justify=side, overflow="fold", no_wrap=not c.prose, width=width)
         texts = c.cells if side == "left" else align_intervals([str(cell) for cell in c.cells])
@@ -134,11 +134,11 @@ def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) ->
             [Text(printable(t), "bold") if i in c.bold and isinstance(t, str) else t for i, t in enumerate(texts)]
         )
     rows = list(zip(*cells, strict=True))
-    for many in sections or [len(rows)]:
-        for row in rows[:many]:
+    for n in sections or [len(rows)]:
+        for row in rows[:n]:
             table.add_row(*row)
         table.add_section()
-        rows = rows[many:]
+        rows = rows[n:]
     return table
 
 
@@ -175,17 +175,17 @@ def mean(value: float, se: float, sign: str = "") -> str:
 def readable(content: object) -> str:
     """Return arrays, complex numbers and tuples as readable JSON."""
 
-    def data(value: object) -> object:
+    def to_json(value: object) -> object:
         if hasattr(value, "tolist"):
-            return data(value.tolist())
+            return to_json(value.tolist())
         if isinstance(value, complex):
             return {"real": value.real, "imag": value.imag}
         if isinstance(value, Mapping):
-            return {str(k): data(v) for k, v in value.items()}
+            return {str(k): to_json(v) for k, v in value.items()}
         if isinstance(value, tuple | list):
-            return [data(v) for v in value]
+            return [to_json(v) for v in value]
         if isinstance(value, float) and value != value:
             return None
         return str(value) if value in (float("inf"), float("-inf")) else value
 
-    return json.dumps(data(content), indent=2)
+    return json.dumps(to_json(content), indent=2)
