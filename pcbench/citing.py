@@ -44,16 +44,16 @@ def find_citations(sources: Iterable[str]) -> list[str]:
     return [r.key for r in references() if any(r.words in source for source in texts)]
 
 
-def bibtex(what: str | None = None) -> str:
+def bibtex(source: str | None = None) -> str:
     """Return BibTeX of the sources of a result's folder or a study; None: all entries.
 
-    Raises UserError if `what` is neither.
+    Raises UserError if `source` is neither.
     """
     entries, about = references(), ["everything that pcbench has"]
-    if what is not None:
-        target = storage.target(what)
+    if source is not None:
+        target = storage.target(source)
         is_result = storage.text(target, manifest.TEXT) is not None
-        study = manifest.load_manifest(target).study if is_result else outline(what, [])
+        study = manifest.load_manifest(target).study if is_result else outline(source, [])
         record = (close.record(target) if is_result else None) or {}
         solvers = {c["solver"] for table in record.get("certificates", {}).values() for c in table.values()} & set(
             SOLVERS

@@ -63,5 +63,5 @@ def names_and_units(texts: Iterable[str], where: str) -> tuple[tuple[str, str], 
 def require_different(names: list[str], where: str, remedy: str = "rename one") -> None:
     """Raise UserError for a name that occurs twice."""
     if len(set(names)) < len(names):
-        twice = next(name for i, name in enumerate(names) if name in names[:i])
-        raise UserError(f"{where}: got '{short(twice)}' twice, expected each name once; {remedy}.")
+        duplicate = next(name for i, name in enumerate(names) if name in names[:i])
+        raise UserError(f"{where}: got '{short(duplicate)}' twice, expected each name once; {remedy}.")

@@ -14,7 +14,7 @@ T = TypeVar("T")
 class _Call(NamedTuple):
     key: Hashable
     arguments: tuple[object, ...]
-    named: dict[str, object]
+    keywords: dict[str, object]
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -31,7 +31,7 @@ def cached_by_value(function: Callable[P, T]) -> Callable[P, T]:
 
     @lru_cache(maxsize=256)
     def call_cached(call: _Call) -> T:
-        return function(*call.arguments, **call.named)  # type: ignore[arg-type]
+        return function(*call.arguments, **call.keywords)  # type: ignore[arg-type]
 
     @wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> T:

@@ -131,7 +131,7 @@ def _type_words(schema: Description) -> str:
         return f'"{schema["const"]}"'
     if schema.get("type") == "array":
         inner = dict.fromkeys(map(_type_words, _alternatives(schema.get("items", {}))))
-        several = " or ".join(t if t.startswith('"') else f"{t}s" for t in inner)
-        return "matrix" if several.startswith("list") else f"list of {several}"
+        types = " or ".join(t if t.startswith('"') else f"{t}s" for t in inner)
+        return "matrix" if types.startswith("list") else f"list of {types}"
     kind = str(schema.get("type", "table" if "$ref" in schema else "value"))
     return TYPES.get(kind, kind)

@@ -74,18 +74,18 @@ def rounds(
         return
     first, seeds, n_short = claim.study.first_seed, claim.study.seeds, 0
     most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claim.cells}
-    pending = list(claim.cells)
-    while pending:
+    cells = list(claim.cells)
+    while cells:
         blocks = block_files.series(block_files.drop_overlaps(block_files.present(target)))
-        for cell in list(pending):
+        for cell in list(cells):
             n = size[cell.key]
             c = aggregate.of_cell(target, cell, blocks)
             error = _error(goal, c, claim.study.name, Seeds(0, first + n))
             size[cell.key] = max(n, min(enough(n, error, goal.value), most))
             if size[cell.key] == n:
-                pending.remove(cell)
+                cells.remove(cell)
                 n_short += error > goal.value
-        if pending:
+        if cells:
             yield lambda cell: seed_range(first, size[cell.key])
     if n_short:
         say(

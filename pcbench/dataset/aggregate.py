@@ -32,7 +32,7 @@ class CellBlocks(NamedTuple):
     def bounds(self) -> dict[str, statistics.Values | None]:
         """Return by observer the least possible error of each signal."""
         prior = self.cell.scenario.belief.prior_std
-        return {name: seen_bound(about["bound"], prior) for name, about in self.about.items()}
+        return {name: resolvable_bound(about["bound"], prior) for name, about in self.about.items()}
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -102,7 +102,7 @@ def only_chunk(c: CellBlocks) -> Chunk | None:
     return next(chunks(c))
 
 
-def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
+def resolvable_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
     """Return the bound; NaN if it is negligible relative to the prior."""
     if bound is None:
         return None

@@ -160,8 +160,8 @@ def concat_columns(parts: Iterable[Mapping[str, object]]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, values in by_name.items():
         arrays = [value for value in values if isinstance(value, np.ndarray)]
-        repeated = itertools.chain.from_iterable(map(itertools.repeat, values, lengths))
-        out[name] = np.concatenate(arrays) if arrays else list(repeated)
+        values_by_row = itertools.chain.from_iterable(map(itertools.repeat, values, lengths))
+        out[name] = np.concatenate(arrays) if arrays else list(values_by_row)
     return out
 
 

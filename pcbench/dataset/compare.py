@@ -227,8 +227,8 @@ def made_by(a: storage.Target, b: storage.Target) -> list[str]:
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
 
 
-def _flat(record: Mapping[str, object], under: str = "") -> dict[str, object]:
+def _flat(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     out: dict[str, object] = {}
     for key, value in record.items():
-        out |= _flat(value, f"{under}{key}.") if isinstance(value, dict) else {f"{under}{key}": value}
+        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return out

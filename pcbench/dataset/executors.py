@@ -50,8 +50,8 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
         return SHARE if memory is None else memory_budget(memory) / 2
-    at_once = (workers or runner.cores()) if address else len(runner.devices(count))
-    return memory_budget(memory) / (2 * max(at_once, 1))
+    n_tasks = (workers or runner.cores()) if address else len(runner.devices(count))
+    return memory_budget(memory) / (2 * max(n_tasks, 1))
 
 
 @contextmanager

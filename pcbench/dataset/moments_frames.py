@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pcbench.dataset import columns
-from pcbench.dataset.aggregate import seen_bound
+from pcbench.dataset.aggregate import resolvable_bound
 from pcbench.errors import UserError, unknown
 from pcbench.moments import exactness, stats_rows
 from pcbench.moments.propagate import COVARIANCE
@@ -94,7 +94,7 @@ class Exact:
             )
         if not m.rows or any(m.why.values()):
             # One whose numbers overflow spoils those of the others here, and not by itself.
-            reasons = (why for c in self.solved(cells) for why in c.why.values())
+            reasons = (reason for c in self.solved(cells) for reason in c.why.values())
             raise UserError(f"covariance: {next(filter(None, (*reasons, *m.why.values())))}")
         names = [name for name, _ in signals_of(cells[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
@@ -121,7 +121,7 @@ class Exact:
         """Yield the rows of `stats` of each observer as columns, in their order, for `columns.concat_columns`."""
         cell, p = m.planned.cell, m.planned
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
-        bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
+        bound = resolvable_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
         names, units = _words(tuple(signals))
         order = _order(tuple(head))
         for label in m.signals:

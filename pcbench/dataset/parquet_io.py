@@ -25,9 +25,9 @@ def encode_table(table: pa.Table) -> pa.Buffer:
     # snappy: 3 ms of 8 less a block than zstd, for a third more bytes
     pq.write_table(table, sink, compression="snappy", **options)
     content = sink.getvalue()
-    back = pq.read_metadata(pa.BufferReader(content))
-    same = (table.schema.metadata or {}).items() <= (back.metadata or {}).items()
-    if (back.num_rows, back.num_columns) != table.shape or not same:
+    footer = pq.read_metadata(pa.BufferReader(content))
+    same = (table.schema.metadata or {}).items() <= (footer.metadata or {}).items()
+    if (footer.num_rows, footer.num_columns) != table.shape or not same:
         raise UserError("store: a table read back from its own bytes differs, expected the same; report this.")
     return content
 
@@ -43,10 +43,10 @@ def open_parquet(content: pa.Buffer) -> pq.ParquetFile:
     footer = file.metadata
     # of a damaged column pyarrow aborts
     pages = sum(footer.row_group(i).total_byte_size for i in range(footer.num_row_groups))
-    needed = max(8 * footer.num_rows * footer.num_columns, pages)
-    if needed > max(PLAIN, RATIO * len(content)):
+    size = max(8 * footer.num_rows * footer.num_columns, pages)
+    if size > max(PLAIN, RATIO * len(content)):
         file.close()
-        raise pa.ArrowInvalid(f"{len(content) / 1e6:.3g} MB that take {needed / 1e6:.3g} MB in memory")
+        raise pa.ArrowInvalid(f"{len(content) / 1e6:.3g} MB that take {size / 1e6:.3g} MB in memory")
     return file
 
 
@@ -104,9 +104,9 @@ def _as_text(column: pa.ChunkedArray) -> str:
     """The `repr` of a column's list of values; each different text is formatted once."""
     if not pa.types.is_string(column.type):
         return repr(column.to_pylist())
-    coded = column.combine_chunks().dictionary_encode()
-    vocabulary = np.array([*map(repr, coded.dictionary.to_pylist()), "None"], object)
-    return f"[{', '.join(vocabulary[coded.indices.fill_null(len(vocabulary) - 1).to_numpy()].tolist())}]"
+    codes = column.combine_chunks().dictionary_encode()
+    vocabulary = np.array([*map(repr, codes.dictionary.to_pylist()), "None"], object)
+    return f"[{', '.join(vocabulary[codes.indices.fill_null(len(vocabulary) - 1).to_numpy()].tolist())}]"
 
 
 class GrowingTable:

@@ -78,12 +78,12 @@ class Result:
     @cached_property
     def stats(self) -> "pd.DataFrame":
         """One row per grid point, observer, signal and metric."""
-        return self._closing("stats.parquet")
+        return self._closing_table("stats.parquet")
 
     @cached_property
     def pairs(self) -> "pd.DataFrame":
         """One row per grid point, pair of observers, signal and metric."""
-        return self._closing("pairs.parquet")
+        return self._closing_table("pairs.parquet")
 
     @cached_property
     def runs(self) -> "pd.DataFrame":
@@ -206,7 +206,7 @@ class Result:
                 f"verify {target.name}."
             ) from None
 
-    def _closing(self, name: str) -> "pd.DataFrame":
+    def _closing_table(self, name: str) -> "pd.DataFrame":
         table = close.table(self._target, name)
         if table is None:
             raise UserError(f"{self._target.name}/{name}: is gone or damaged; run the study again to write it again.")

@@ -177,8 +177,8 @@ class RunPlan(NamedTuple):
                 yield t
 
 
-def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
-    """Yield the task that compiles a program before the waiting tasks of the program before it, at most `ahead`.
+def interleave(tasks: Iterable[task.Task], limit: int = AHEAD) -> Iterator[task.Task]:
+    """Yield the task that compiles a program before the waiting tasks of the program before it, at most `limit`.
 
     So two programs are compiled at the same time, although all tasks of a program wait for its compilation.
     """
@@ -190,7 +190,7 @@ def interleave(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.
             queue.clear()
         else:
             queue.append(t)
-            if len(queue) > ahead:
+            if len(queue) > limit:
                 yield queue.popleft()
     yield from queue
 

@@ -220,20 +220,20 @@ def text(target: Target, name: str) -> bytes | None:
     return None if content is None else content.to_pybytes()
 
 
-def names(target: Target, under: str = "") -> list[str]:
+def names(target: Target, folder: str = "") -> list[str]:
     """Return the names of all files below a folder of the target, sorted, without those that begin with a dot or _.
 
     A link counts as a file and is not followed.
     """
-    return sorted(sizes(target, under))
+    return sorted(sizes(target, folder))
 
 
-def sizes(target: Target, under: str = "") -> dict[str, int]:
+def sizes(target: Target, folder: str = "") -> dict[str, int]:
     """Return the sizes [bytes] of the files of `names`."""
     with refusals(target.name, "read"):
-        base = f"{target.root}/{under}" if under else target.root
+        base = f"{target.root}/{folder}" if folder else target.root
         if target.local:
-            _require_no_link(target, under)
+            _require_no_link(target, folder)
             by_path = dict(_files(base))
         else:
             infos = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))

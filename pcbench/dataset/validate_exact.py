@@ -17,6 +17,7 @@ from scipy.special import ndtri, stdtr
 from pcbench.dataset import block_files, manifest, storage
 from pcbench.dataset.moments_frames import Exact
 from pcbench.dataset.result import open_result
+from pcbench.dataset.table_diff import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.study.grid import Grid
 
@@ -24,8 +25,6 @@ KEY = ["scenario", "cell", "observer", "signal", "metric"]
 METRICS = ("mae", "mse", "final_error", "steady_mae", "steady_mse", "lq_cost", "steady_lq_cost", "nees", "signal_nees")
 LEVEL = 1e-3
 FEW = 64
-ROUNDING = 1e-9
-ZERO = 1e-11
 LOST = 1e-14  # of the peak
 
 

@@ -130,9 +130,9 @@ def count_multiplications(f: Callable[..., PyTree], *args: PyTree) -> int:
     return _count(jax.make_jaxpr(f)(*args), args)
 
 
-def _count(closed: ClosedJaxpr, args: PyTree) -> int:
-    consts, inputs = ([*map(_constant_value, v)] for v in (closed.consts, jax.tree.leaves(args)))
-    return _walk_jaxpr(closed.jaxpr, consts, inputs)[0]
+def _count(closed_jaxpr: ClosedJaxpr, args: PyTree) -> int:
+    consts, inputs = ([*map(_constant_value, v)] for v in (closed_jaxpr.consts, jax.tree.leaves(args)))
+    return _walk_jaxpr(closed_jaxpr.jaxpr, consts, inputs)[0]
 
 
 def _constant_value(value: ArrayLike) -> Value:

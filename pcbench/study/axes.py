@@ -71,8 +71,8 @@ def point(name: str, value: object, base: Scenario, where: str) -> Value:
         return _of_each_channel(name, value, base, where)
     if name in LISTS or name == "delay_self_transition":
         return _list(name, value, base, where)
-    several = isinstance(value, list | tuple)
-    if name not in (*CHANNELS, *STATES, *OUTPUTS) and not (name in SENSORS and several):
+    is_list = isinstance(value, list | tuple)
+    if name not in (*CHANNELS, *STATES, *OUTPUTS) and not (name in SENSORS and is_list):
         return _single(name, value, base, where)
     if name in OUTPUTS and value in ([], ()):
         return ()

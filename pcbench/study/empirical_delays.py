@@ -136,10 +136,10 @@ def in_turn(sampling_time: Ticks, delays: Ticks, tick: float, horizon: float, go
     ticks = np.rint((sampling_time - sampling_time[0]) / tick)
     instants, first = np.unique(ticks, return_index=True)
     by_instant = delays[first]
-    unlike = ~((delays == np.repeat(by_instant, np.diff(np.append(first, len(ticks))))) | np.isnan(delays))
-    unlike |= np.isnan(delays) != np.isnan(np.repeat(by_instant, np.diff(np.append(first, len(ticks)))))
-    if unlike.any():
-        t = sampling_time[np.argmax(unlike)]
+    differs = ~((delays == np.repeat(by_instant, np.diff(np.append(first, len(ticks))))) | np.isnan(delays))
+    differs |= np.isnan(delays) != np.isnan(np.repeat(by_instant, np.diff(np.append(first, len(ticks)))))
+    if differs.any():
+        t = sampling_time[np.argmax(differs)]
         raise UserError(
             f"{got}, whose samples at {t:g} s have different delays, expected one delay per tick; use a recording of one "
             f"channel, or write {FROM} to draw random delays."

@@ -50,9 +50,9 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
     if not s.sampling.continuous:
         return
     q = len(s.sampling.delay)
-    usual = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
-    usual |= Sampling._field_defaults | Belief._field_defaults
-    for name, value in ((name, usual[name]) for name in AXES if name in usual):
+    defaults = {"sampling_period": (s.dt,) * q, "delay": (0.0,) * q, "noise_std": (0.0,) * q}
+    defaults |= Sampling._field_defaults | Belief._field_defaults
+    for name, value in ((name, defaults[name]) for name in AXES if name in defaults):
         if s.value(name) != value and (name not in OF_OUTPUTS or any(s.value(name))):
             yield (
                 f"got {name} = {plain(name, s.value(name))} in {s.name}, whose measurements are continuous and without noise, "
@@ -392,19 +392,19 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
                 f"{', '.join(silences)} with a send_threshold, expected a network that delivers every sample in time, so that "
                 f"silence means that none was sent; leave {label} out, or use kf."
             )
-    if entry.observer.on_sample and (wrong := ", ".join(name for name in STAMPS if s.value(name))):
+    if entry.observer.on_sample and (timestamp_axes := ", ".join(name for name in STAMPS if s.value(name))):
         yield (
-            f"{wrong}, expected correct timestamps: it copies the state when a sample is taken, whatever its timestamp; "
-            f"leave {label} out, or use kf."
+            f"{timestamp_axes}, expected correct timestamps: it copies the state when a sample is taken, whatever its "
+            f"timestamp; leave {label} out, or use kf."
         )
     if entry.takes == "one clock" and len(clocks(s)) > 1:
         values = {name: s.value(name) for name in OF_A_SENSOR}
-        several = "; ".join(
+        differences = "; ".join(
             f"{k} = {plain(k, v)}" for k, v in values.items() if isinstance(v, tuple) and len(set(v)) > 1
         )
         yield (
-            f"channels that differ ({several}), expected one period, one delay and one network for all; make them equal, or "
-            "use kf."
+            f"channels that differ ({differences}), expected one period, one delay and one network for all; make them equal, "
+            "or use kf."
         )
 
 

@@ -135,13 +135,13 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     return out
 
 
-Tuned = dict[tuple[object, ...], dict[str, TomlTable]]  # by values of axes, the options of each label
+OptionsByPoint = dict[tuple[object, ...], dict[str, TomlTable]]  # by values of axes, the options of each label
 
 
-def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str], Tuned]:
+def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str], OptionsByPoint]:
     """Return the axes and options of a scenario's grid points that were tuned separately; empty if none."""
     record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
-    cells, out = (record and record.cells) or [], Tuned()
+    cells, out = (record and record.cells) or [], OptionsByPoint()
     names = list(cells[0].cell) if cells else []
     for i, entry in enumerate(cells):
         place = f"{where}: tuned.cells[{i}].cell"
@@ -153,7 +153,7 @@ def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str]
 
 
 def _tuned_options(
-    study: Study, cell: Cell, labels: list[str], names: list[str], tuned: Tuned, where: str
+    study: Study, cell: Cell, labels: list[str], names: list[str], tuned: OptionsByPoint, where: str
 ) -> dict[str, BaseModel]:
     """Return the options tuned at this grid point; raise UserError if only other grid points were tuned."""
     values = {f"plant.{name}": value for name, value in cell.parameters.items()}

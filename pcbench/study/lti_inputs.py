@@ -50,8 +50,8 @@ def _read(path: Path) -> list[list[float]]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is no table with a head"
         raise ValueError(f"a CSV file that can be read ({reason})") from None
-    want = ["t", *(f"u{i + 1}" for i in range(len(head) - 1))]
-    if [name.strip() for name in head] != want or len(head) < 2:
+    expected = ["t", *(f"u{i + 1}" for i in range(len(head) - 1))]
+    if [name.strip() for name in head] != expected or len(head) < 2:
         raise ValueError("a CSV file whose first line is t,u1 or t,u1,u2 ...")
     if len(rows) > ROWS:
         raise ValueError(f"a CSV file of at most {ROWS:,} rows")

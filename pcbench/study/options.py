@@ -33,7 +33,9 @@ def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
 def own_options(study: Study, observer: str) -> Study:
     """Return a study with only the options of its scenario and of one observer."""
     names = ("scenario", observer, base_in(study, observer) or observer)
-    return study.model_copy(update={"options": {name: of for name, of in study.options.items() if name in names}})
+    return study.model_copy(
+        update={"options": {name: values for name, values in study.options.items() if name in names}}
+    )
 
 
 def choices_of(study: Study) -> Choices:
@@ -91,8 +93,8 @@ def underscore_keys(table: TomlTable, where: str, but: str = "\n") -> TomlTable:
     """Return a table with _ for - in its keys, except those that begin with `but`; raise UserError for a key given twice."""
     out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in table.items()}
     if len(out) < len(table):
-        twice = next(key for key in table if "-" in key and key.replace("-", "_") in table)
-        raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
+        duplicate = next(key for key in table if "-" in key and key.replace("-", "_") in table)
+        raise UserError(f"{where}: got {duplicate} twice, with - and with _, expected it once; remove one.")
     return out
 
 

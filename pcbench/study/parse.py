@@ -125,7 +125,7 @@ def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
 def unstable(grid: Grid) -> list[str]:
     """Return a sentence for every loop that its controller does not stabilise; raise DesignError if a law has no gain."""
     scenarios = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in grid.cells}
-    return [warning for s in scenarios.values() if (warning := controller_table.warning(s, grid.study.name))]
+    return [sentence for s in scenarios.values() if (sentence := controller_table.warning(s, grid.study.name))]
 
 
 def parse(raw: TomlTable, where: str) -> Study:

@@ -75,10 +75,12 @@ def experiment_on(
             values[key] = [float(values[key])] * sizes[size]
     for key in ("process_std", "assumed_process_std"):
         if key in values and (
-            wrong := [i for i, row in enumerate(values[key]) if isinstance(row, list) and len(row) != sizes["n"]]
+            bad_rows := [i for i, row in enumerate(values[key]) if isinstance(row, list) and len(row) != sizes["n"]]
         ):
-            got = len(values[key][wrong[0]])
-            raise UserError(f"{where}.{key}[{wrong[0]}]: got {got} numbers, expected {sizes['n']}, one for each state.")
+            got = len(values[key][bad_rows[0]])
+            raise UserError(
+                f"{where}.{key}[{bad_rows[0]}]: got {got} numbers, expected {sizes['n']}, one for each state."
+            )
         values |= {key: [tuple(row) if isinstance(row, list) else row for row in values[key]]} if key in values else {}
     s = s.having(**{key: tuple(values[key]) for key in (*SIZES, "delay_sine", "headline") if key in values})
     if is_new:
@@ -156,11 +158,11 @@ def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, 
         s = s._replace(plant=plant)
     entry = entry_of(s)
     observer_parameters = [name for name in entry.numbers._fields if name not in ("drift", "unknown_input")]
-    for table, allowed in (("parameters", parameters_of(entry)), ("model", observer_parameters)):
+    for table, valid_names in (("parameters", parameters_of(entry)), ("model", observer_parameters)):
         numbers = {}
         for name, value in values.get(table, {}).items():
-            if name not in allowed:
-                raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, allowed)
+            if name not in valid_names:
+                raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, valid_names)
             default = getattr(entry.numbers, name)
             if type(default) is float:
                 value = axes.point(f"plant.{name}", value, s, f"{where}.{table}.{name}")
@@ -244,8 +246,8 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     if name not in CONTROLLERS and "controller" not in s.own:
         raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
     if name == "pd" and entry.inverse is None:
-        supported = ", ".join(p for p, plant in PLANTS.items() if plant.inverse)
-        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {supported}.")
+        plants = ", ".join(p for p, plant in PLANTS.items() if plant.inverse)
+        raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {plants}.")
     law = controller_of(s)
     options = validate_options(law.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
@@ -257,10 +259,10 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
 def _require_fit(s: Scenario, sizes: dict[str, int], where: str) -> None:
     """Raise UserError for a list of the wrong length, and for invalid scoring."""
     for key, (size, optional) in SIZES.items():
-        got, want = len(s.value(key)), sizes[size]
-        if got != want and not (optional and not got):
+        got, expected = len(s.value(key)), sizes[size]
+        if got != expected and not (optional and not got):
             raise UserError(
-                f"{where}.{key}: got {got} numbers, expected {want}, one for each {EACH[size]}"
+                f"{where}.{key}: got {got} numbers, expected {expected}, one for each {EACH[size]}"
                 + (f" of {s.plant}." if s.plant != "lti" else ".")
             )
     threshold, start = s.scoring.divergence_threshold, s.scoring.steady_start

@@ -50,7 +50,7 @@ def _rephrase(message: str) -> str:
     """Return pydantic's message as an expectation."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
     text = re.sub(r"dictionary( or instance of \w+)?", "table", text)
-    many = r"List should have at (least|most) (\d+) items? after validation, not \d+"
-    text = re.sub(many, r"a list of at \1 \2", text)
+    pattern = r"List should have at (least|most) (\d+) items? after validation, not \d+"
+    text = re.sub(pattern, r"a list of at \1 \2", text)
     text = text.replace("String should", "a string that should").replace("List should", "a list that should")
     return (text[0].lower() + text[1:]).rstrip(".")

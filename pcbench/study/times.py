@@ -114,12 +114,12 @@ def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
 def sensors(s: Scenario) -> Iterator[Scenario]:
     """Yield the scenario once for each set of equally measured channels, with single values instead of lists."""
     pairs = ((name, s.value(name)) for name in fields.names(per="sensor"))
-    several = {name: value for name, value in pairs if isinstance(value, tuple)}
+    lists = {name: value for name, value in pairs if isinstance(value, tuple)}
     rows = ((name, s.value(name)) for name in fields.names(rows=True))
-    several |= {name: value for name, value in rows if has_rows(value)}
-    for values in dict.fromkeys(zip(*several.values(), strict=True)):
-        yield s.having(**dict(zip(several, values, strict=True)))
-    if not several:
+    lists |= {name: value for name, value in rows if has_rows(value)}
+    for values in dict.fromkeys(zip(*lists.values(), strict=True)):
+        yield s.having(**dict(zip(lists, values, strict=True)))
+    if not lists:
         yield s
 
 

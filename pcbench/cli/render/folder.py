@@ -48,8 +48,8 @@ def status(content: Status, folder: str, screen: Screen) -> None:
 def verdict(result: Verdict, folder: str, screen: Screen) -> None:
     """Print the result of a verification."""
     screen.say(*result.wrong, *result.differing, *result.unlike)
-    wrong = f"{len(result.wrong)} problem" + ("s" if len(result.wrong) > 1 else "")
-    files = f"{result.files} blocks, {wrong}" if result.wrong else f"all {result.files} blocks are intact"
+    problems = f"{len(result.wrong)} problem" + ("s" if len(result.wrong) > 1 else "")
+    files = f"{result.files} blocks, {problems}" if result.wrong else f"all {result.files} blocks are intact"
     n_blocks, exact = len(result.recomputed), len(result.exact)
     equal = (
         f"{n_blocks - len(result.differing)} of {n_blocks} recomputed blocks are equal bit for bit"

@@ -63,7 +63,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
 
 def print_tuning(tuning: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
     """Print a tuning: start and tuned options with their metric on training and validation seeds."""
-    aim, validations, of_runs = tuning.objective, tuning.judged, not tuning.exact
+    objective, validations, of_runs = tuning.objective, tuning.judged, not tuning.exact
     columns = [Column("seeds", [str(j.seeds) for j in validations], left=True)] if of_runs else []
     columns += [
         Column("", [j.what for j in validations], left=True),
@@ -73,9 +73,11 @@ def print_tuning(tuning: "Tuning", observer: str, folder: str | None, screen: Sc
     ]
     if of_runs:
         columns.append(Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in validations], spare=1))
-    quantity = ("" if of_runs else "expected ") + ("mean square" if aim.metric != aim.base else aim.metric)
+    quantity = ("" if of_runs else "expected ") + (
+        "mean square" if objective.metric != objective.base else objective.metric
+    )
     name, points = mark_uncertified(observer, [tuning.certified]), f"{len(tuning.points)} points by {tuning.method}"
-    screen.fit(f"{name}: {quantity} of {aim.name}, {points}", columns)
+    screen.fit(f"{name}: {quantity} of {objective.name}, {points}", columns)
     screen.say_unproven([tuning.certified])
     for name, value in tuning.found.items():
         screen.print(f"{name} = {_option(value)}   (start: {_option(tuning.start[name])})")

@@ -29,8 +29,8 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
     title = f"{about['title']}: {about['metric']} of {about['signal']} below {limit}, over {about['over']}"
     low, high = about["between"]
     screen.fit(f"{title} from {low:g} to {high:g}", columns)
-    odd = [row for row in rows if row["answer"] != PLAIN or row["said"].count("; ") > 1]
-    screen.say(*(f"{row['observer']}: {row['said']}" for row in odd), *about["notes"])
+    special_rows = [row for row in rows if row["answer"] != PLAIN or row["said"].count("; ") > 1]
+    screen.say(*(f"{row['observer']}: {row['said']}" for row in special_rows), *about["notes"])
 
 
 def frontier(table: pd.DataFrame, screen: Screen) -> None:
@@ -44,8 +44,10 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
         columns.append(Column(f"{observer}\nup to{units[1]}", [rows.get(value, "-") for value in values]))
     limit = f"{about['below']:g} {about['unit']}".removesuffix(" 1").strip()
     screen.fit(f"{about['title']}: largest {second} with {about['metric']} of {about['signal']} below {limit}", columns)
-    odd = [row for row in table.to_dict("records") if row["answer"] not in (PLAIN, "every value", "no value")]
-    screen.say(*(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}" for row in odd), *about["notes"])
+    special_rows = [row for row in table.to_dict("records") if row["answer"] not in (PLAIN, "every value", "no value")]
+    screen.say(
+        *(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}" for row in special_rows), *about["notes"]
+    )
 
 
 def _largest(row: Mapping[Hashable, object]) -> str:

@@ -32,8 +32,10 @@ class Numbers(NamedTuple):
 def field(numbers: Numbers, now: pcbench.Now, x: Array) -> Array:
     """Return dx/dt [n] of the whole state x: angle from straight down, rate."""
     angle, rate = x
-    turned = -numbers.gravity / numbers.length * jnp.sin(angle) - numbers.friction * rate + numbers.strength * now.u[0]
-    return jnp.stack([rate, turned])  # use jnp.where instead of `if`; observers need derivatives
+    acceleration = (
+        -numbers.gravity / numbers.length * jnp.sin(angle) - numbers.friction * rate + numbers.strength * now.u[0]
+    )
+    return jnp.stack([rate, acceleration])  # use jnp.where instead of `if`; observers need derivatives
 
 
 def output(numbers: Numbers, now: pcbench.Now, x: Array) -> Array:

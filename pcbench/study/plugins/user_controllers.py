@@ -80,8 +80,8 @@ def linearize_law(
 def _slopes(law: Controller, params: Params, context: ControllerContext, requests: list[Array]) -> Law:
     """Return the slopes of a law by its memory and by the state; requests for future inputs are recorded in `requests`."""
     n, m = context.model.B.shape
-    aim = jnp.asarray(law.target(params, jnp.asarray(0)), float)
-    x_ref = jnp.zeros(n).at[: len(aim)].set(aim)
+    set_point = jnp.asarray(law.target(params, jnp.asarray(0)), float)
+    x_ref = jnp.zeros(n).at[: len(set_point)].set(set_point)
     memory, back = ravel_pytree(law.start(params, x_ref) if law.start else ())
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(context.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
 
