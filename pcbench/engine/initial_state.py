@@ -40,7 +40,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
     loop = vmap_entrywise(partial(before, layout, p))(memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
-        drawn=drawn_numbers(layout, root_seed, seeds),
+        plant_draws=drawn_numbers(layout, root_seed, seeds),
         memories=memories,
         flight=(),
         streams={},
@@ -63,7 +63,9 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
 
 def _tables(commands: command_network.Commands) -> command_network.Commands:
     """Return commands with their rings as tables."""
-    return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
+    return commands._replace(
+        commands=table(commands.commands), inputs=table(commands.inputs), in_transit=table(commands.in_transit)
+    )
 
 
 def _plant(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PerLane:

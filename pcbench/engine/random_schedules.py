@@ -137,8 +137,8 @@ def _take(events: Events, k: Array, state: State) -> State:
 def _measure_runs(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
     number = _of_channels(events, events.agenda.number, c.row, c.lane)
     noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
-    x, drawn = lane_array.pick((state.x, state.drawn), c.lane)
-    return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lane_array.split(noise))
+    x, drawn = lane_array.pick((state.x, state.plant_draws), c.lane)
+    return measure(events.layout, events.p, k, state._replace(x=x, plant_draws=drawn), lane_array.split(noise))
 
 
 def _notify_observers(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
@@ -167,7 +167,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
 def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
     """Return the memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
-    which = _at(events.agenda.which, c.row, c.lane)
+    which = _at(events.agenda.packet, c.row, c.lane)
     values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
     packet = Packet(lane_array.split(values), _unflat(notes, events.first_notes))
     mine = _taken_out(events, state, c)

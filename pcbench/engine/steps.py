@@ -75,7 +75,7 @@ def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: P
     def one_lane(k: Array, x: Array, drawn: PyTree, v: Array) -> Array:
         return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
 
-    return vmap_entrywise(one_lane)(k, state.x, state.drawn, noise)
+    return vmap_entrywise(one_lane)(k, state.x, state.plant_draws, noise)
 
 
 def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Notes:
@@ -132,7 +132,7 @@ def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLan
     def one_lane(k: Array, x: Array, drawn: PyTree) -> Array:
         return truth(layout, params_of(layout, p, drawn), present(p, k, True), x)
 
-    return vmap_entrywise(one_lane)(k, state.x, state.drawn)
+    return vmap_entrywise(one_lane)(k, state.x, state.plant_draws)
 
 
 def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[str, PerLane]:
@@ -141,7 +141,7 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
     def one_lane(k: Array, lane: Lane, drawn: PyTree) -> dict[str, Array]:
         return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
 
-    return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories, state.commands), state.drawn)
+    return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories, state.commands), state.plant_draws)
 
 
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
@@ -163,7 +163,7 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
         return updated, looked, tracking
 
     e, lane = errors(layout, p, k, state), Lane(state.x, state.memories, state.commands)
-    found = vmap_entrywise(bounded)(k, lane, state.drawn) if state.watches else {}
+    found = vmap_entrywise(bounded)(k, lane, state.plant_draws) if state.watches else {}
     scored = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
     streams, watches, tracking = scored
     return state._replace(streams=streams, watches=watches, tracking=tracking)
@@ -204,5 +204,5 @@ def flow(layout: Layout, p: GridPointParams, k: Array, state: State, w: PerLane)
         run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
         return run.x, run.memories
 
-    x, memories = vmap_entrywise(one_lane)(k, observer_view(layout, state)._replace(x=state.x), state.drawn, w)
+    x, memories = vmap_entrywise(one_lane)(k, observer_view(layout, state)._replace(x=state.x), state.plant_draws, w)
     return state._replace(x=x, memories=memories)

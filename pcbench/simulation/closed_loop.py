@@ -72,10 +72,11 @@ def unless_diverged(watches: dict[str, metrics.SettlingState], new: Tree, old: T
 
     The tick and sample numbers are not frozen: they are the same in all runs, so loops over them stay shared.
     """
-    bad = jnp.any(jnp.stack([watch.first_bad >= 0 for watch in watches.values()])) if watches else jnp.asarray(False)
+    is_bad = [watch.first_bad >= 0 for watch in watches.values()]
+    diverged = jnp.any(jnp.stack(is_bad)) if is_bad else jnp.asarray(False)
 
     def one(a: Array, b: Array) -> Array:
         number = jnp.issubdtype(jnp.result_type(b), jnp.floating)
-        return jnp.where(bad, b, a) if number else a.astype(jnp.result_type(b))
+        return jnp.where(diverged, b, a) if number else a.astype(jnp.result_type(b))
 
     return jax.tree.map(one, new, old)

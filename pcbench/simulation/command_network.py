@@ -47,17 +47,17 @@ class Numbers(NamedTuple):
 class CommandDraws(NamedTuple):
     """The random numbers of one decision."""
 
-    late: Leaf  # [1] uniform
-    lost: Leaf  # [1] uniform
+    delay: Leaf  # [1] uniform
+    loss: Leaf  # [1] uniform
     noise: Leaf  # [m] standard normal
 
 
 class Commands(NamedTuple):
     """Commands and inputs of a closed loop: R ring rows, P decisions on their way, m inputs."""
 
-    sent: Array  # [R, m] command of tick n in row n mod R
-    held: Array  # [R, m] input over tick n without noise, in row n mod R
-    waiting: Array  # [P, 2 m + 1] command, noise, arrival tick; decision j in row j mod P
+    commands: Array  # [R, m] command of tick n in row n mod R
+    inputs: Array  # [R, m] input over tick n without noise, in row n mod R
+    in_transit: Array  # [P, 2 m + 1] command, noise, arrival tick; decision j in row j mod P
     newest: Array  # tick of the decision in use; -1: none
     noise: Array  # [m] noise of the decision in use
 
@@ -67,65 +67,65 @@ def room(every: int, delay: int, jitter: int) -> int:
     return (delay + jitter) // every + 1
 
 
-def empty(rows: int, waiting: int, inputs: int) -> Commands:
+def empty(rows: int, slots: int, inputs: int) -> Commands:
     """Return a network on which nothing has been sent."""
-    nothing = jnp.zeros((rows, inputs))
-    on_the_way = jnp.zeros((waiting, 2 * inputs + 1)).at[:, -1].set(NEVER)
-    return Commands(nothing, nothing, on_the_way, jnp.asarray(-1.0), jnp.zeros(inputs))
+    zeros = jnp.zeros((rows, inputs))
+    in_transit = jnp.zeros((slots, 2 * inputs + 1)).at[:, -1].set(NEVER)
+    return Commands(zeros, zeros, in_transit, jnp.asarray(-1.0), jnp.zeros(inputs))
 
 
 def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], CommandDraws]:
     """Return a function of the tick that draws the numbers [.., L] of its decision, or zeros at ticks without a decision."""
-    late, lost, noise = (
-        rng.run_keys(root_seed, seeds, stream, many)
-        for stream, many in (("command_jitter", 1), ("command_loss", 1), ("command", p.std.shape[0]))
+    delay_keys, loss_keys, noise_keys = (
+        rng.run_keys(root_seed, seeds, stream, count)
+        for stream, count in (("command_jitter", 1), ("command_loss", 1), ("command", p.std.shape[0]))
     )
 
     def one(k: Array) -> tuple[Array, Array, Array]:
         j = k // p.every
-        return rng.uniform(late, j), rng.uniform(lost, j), rng.normals(noise, [j for _ in noise])
+        return rng.uniform(delay_keys, j), rng.uniform(loss_keys, j), rng.normals(noise_keys, [j for _ in noise_keys])
 
     def none(k: Array) -> tuple[Array, Array, Array]:
-        return tuple(jnp.zeros((many, len(seeds))) for many in (1, 1, len(noise)))  # type: ignore[return-value]
+        return tuple(jnp.zeros((count, len(seeds))) for count in (1, 1, len(noise_keys)))  # type: ignore[return-value]
 
-    def drawn(k: Array) -> CommandDraws:
+    def sample(k: Array) -> CommandDraws:
         return CommandDraws(*lax.cond(k % p.every == 0, one, none, k))
 
-    return drawn
+    return sample
 
 
 def send(
-    p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], drawn: CommandDraws
+    p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], draws: CommandDraws
 ) -> Commands:
     """Send the command of tick k if there is a decision, and update the input with the newest arrival."""
-    m, P, R = command.shape[0], commands.waiting.shape[0], commands.held.shape[0]
+    m, P, R = command.shape[0], commands.in_transit.shape[0], commands.inputs.shape[0]
     number, decides = k // p.every, k % p.every == 0
-    arrives = k + p.delay + jnp.floor(drawn.late * (p.jitter + 1))
-    arrives = jnp.where(drawn.lost < p.loss, NEVER, arrives)
-    new = jnp.concatenate([command, p.std * drawn.noise, arrives])
-    old = lax.dynamic_index_in_dim(commands.waiting, number % P, 0, False)
-    waiting = lax.dynamic_update_index_in_dim(commands.waiting, jnp.where(decides, new, old), number % P, 0)
+    arrives = k + p.delay + jnp.floor(draws.delay * (p.jitter + 1))
+    arrives = jnp.where(draws.loss < p.loss, NEVER, arrives)
+    new = jnp.concatenate([command, p.std * draws.noise, arrives])
+    old = lax.dynamic_index_in_dim(commands.in_transit, number % P, 0, False)
+    in_transit = lax.dynamic_update_index_in_dim(commands.in_transit, jnp.where(decides, new, old), number % P, 0)
     ticks = (number - (number - jnp.arange(P)) % P) * p.every * 1.0  # of the decision in each row
-    arrived = (waiting[:, -1] <= k) & (ticks > commands.newest)
+    arrived = (in_transit[:, -1] <= k) & (ticks > commands.newest)
     newest = jnp.max(jnp.where(arrived, ticks, commands.newest))
-    chosen = arrived & (ticks == newest)
-    came = jnp.any(chosen)
-    found = jnp.sum(jnp.where(chosen[:, None], waiting[:, :-1], 0.0), 0)
-    last = lax.dynamic_index_in_dim(commands.held, (k - 1) % R, 0, False)
-    held = jnp.where(came, found[:m], last)
+    is_newest = arrived & (ticks == newest)
+    has_new = jnp.any(is_newest)
+    row = jnp.sum(jnp.where(is_newest[:, None], in_transit[:, :-1], 0.0), 0)
+    last = lax.dynamic_index_in_dim(commands.inputs, (k - 1) % R, 0, False)
+    u = jnp.where(has_new, row[:m], last)
     return Commands(
-        sent=lax.dynamic_update_index_in_dim(commands.sent, command, k % R, 0),
-        held=lax.dynamic_update_index_in_dim(commands.held, held, k % R, 0),
-        waiting=waiting,
+        commands=lax.dynamic_update_index_in_dim(commands.commands, command, k % R, 0),
+        inputs=lax.dynamic_update_index_in_dim(commands.inputs, u, k % R, 0),
+        in_transit=in_transit,
         newest=newest,
-        noise=jnp.where(came, found[m:], commands.noise),
+        noise=jnp.where(has_new, row[m:], commands.noise),
     )
 
 
 def input_at(commands: Commands, n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
     """Return the noise-free input over tick n; NaN for a tick outside the ring."""
-    R = commands.held.shape[0]
-    row = lax.dynamic_index_in_dim(commands.held, jnp.minimum(n, newest) % R, 0, False)
+    R = commands.inputs.shape[0]
+    row = lax.dynamic_index_in_dim(commands.inputs, jnp.minimum(n, newest) % R, 0, False)
     return jnp.where(n > newest - R, row, jnp.nan)
 
 
@@ -142,17 +142,17 @@ NONE = Line(np.zeros(0, int), np.zeros(0))
 def line(delay: Delay, dt: float, rows: int, ticks: int) -> Line:
     """Return the `Line` of a delay [s] that is a function of time, 0 or at least half a tick, for ticks -`rows` .. `ticks`."""
     n = np.arange(-rows, ticks + 1)
-    late = delay((n + 0.5) * dt) / dt
-    read = n + 0.5 - late
-    whole = np.floor(read).astype(int)
-    straight = late == 0
-    return Line(np.where(straight, 1, n - whole), np.where(straight, 1.0, read - whole))
+    ticks_late = delay((n + 0.5) * dt) / dt
+    position = n + 0.5 - ticks_late
+    lower = np.floor(position).astype(int)
+    undelayed = ticks_late == 0
+    return Line(np.where(undelayed, 1, n - lower), np.where(undelayed, 1.0, position - lower))
 
 
-def held_line(late: int, rows: int, ticks: int) -> Line:
-    """Return the `Line` whose input is the command of `late` ticks earlier, for ticks -`rows` .. `ticks`."""
-    many = rows + ticks + 1
-    return Line(np.full(many, max(late, 1)), np.full(many, float(late == 0)))
+def held_line(lag: int, rows: int, ticks: int) -> Line:
+    """Return the `Line` whose input is the command of `lag` ticks earlier, for ticks -`rows` .. `ticks`."""
+    count = rows + ticks + 1
+    return Line(np.full(count, max(lag, 1)), np.full(count, float(lag == 0)))
 
 
 def rows_needed(delay: Delay, dt: float, ticks: int, oldest: int) -> int:

@@ -3,7 +3,7 @@
 `sum_innovations` wraps an observer. The wrapper adds two sums to its memory and updates them before each jump. The estimates
 do not change.
 
-    whole        e' P^-1 e / n at the last tick, P the observer's own error covariance, n the states of the plant
+    nees         e' P^-1 e / n at the last tick, P the observer's own error covariance, n the states of the plant
     signal       e_i^2 / P_ii
     innovation   sum of nu' S^-1 nu over all samples that the observer tests, and the sum of their dimensions
 
@@ -11,7 +11,7 @@ If P is correct and errors are Gaussian, n e' P^-1 e / n is chi-square with n de
 innovation sum is chi-square with as many degrees of freedom as there were numbers.
 
 A state counts as known if its standard deviation in P is below 1e-9 of the prior's; it enters neither of the first two.
-If P is singular, `whole` uses the pseudo-inverse of P divided by the rank. The rank is the number of eigenvalues of the
+If P is singular, `nees` uses the pseudo-inverse of P divided by the rank. The rank is the number of eigenvalues of the
 correlation matrix above 1e-11 of the largest, a limit that rounding does not reach.
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
 """
@@ -30,7 +30,7 @@ class StatsMemory(NamedTuple):
     """An observer's memory with the sums over all arrivals."""
 
     memory: Memory
-    so_far: InnovationStats
+    sums: InnovationStats
 
 
 def add_innovation_stats(layout: Layout) -> Layout:
@@ -49,9 +49,9 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
         return o.snapshot(gains, memory.memory, now)
 
     def jump(gains: Gains, memory: StatsMemory, now: Now, arrival: Arrival) -> StatsMemory:
-        before, more = memory.so_far, innovation(gains, memory.memory, now, arrival)
-        so_far = InnovationStats(before.nis_sum + more.nis_sum, before.dof + more.dof)
-        return StatsMemory(o.jump(gains, memory.memory, now, arrival), so_far)
+        sums, increment = memory.sums, innovation(gains, memory.memory, now, arrival)
+        total = InnovationStats(sums.nis_sum + increment.nis_sum, sums.dof + increment.dof)
+        return StatsMemory(o.jump(gains, memory.memory, now, arrival), total)
 
     def flow(gains: Gains, memory: StatsMemory, now: Now) -> StatsMemory:
         return memory._replace(memory=o.flow(gains, memory.memory, now))
@@ -59,29 +59,29 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
     def estimate(gains: Gains, memory: StatsMemory) -> Array:
         return o.estimate(gains, memory.memory)
 
-    made = Observer(init, snapshot, jump, flow, estimate, uses_silence=o.uses_silence)
+    wrapper = Observer(init, snapshot, jump, flow, estimate, uses_silence=o.uses_silence)
     if (covariance := o.covariance) is not None:
-        made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
+        wrapper = wrapper._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
     if (bounds := o.bounds) is not None:
-        made = made._replace(bounds=lambda gains, memory: bounds(gains, memory.memory))
+        wrapper = wrapper._replace(bounds=lambda gains, memory: bounds(gains, memory.memory))
     if (on_sample := o.on_sample) is not None:
-        made = made._replace(
+        wrapper = wrapper._replace(
             on_sample=lambda gains, memory, now, mask: memory._replace(
                 memory=on_sample(gains, memory.memory, now, mask)
             )
         )
     if (init_random := o.init_random) is not None:
-        made = made._replace(
+        wrapper = wrapper._replace(
             init_random=lambda gains, memory, words, xhat0: memory._replace(
                 memory=init_random(gains, memory.memory, words, xhat0)
             )
         )
-    return made
+    return wrapper
 
 
 def sums(memory: Memory) -> InnovationStats | None:
     """Return the innovation sums from a memory, or None if the observer has none."""
-    return memory.so_far if isinstance(memory, StatsMemory) else None
+    return memory.sums if isinstance(memory, StatsMemory) else None
 
 
 KNOWN = 1e-9  # relative to the prior's standard deviation
@@ -91,7 +91,7 @@ RANK = 1e-11  # relative to the largest eigenvalue of the correlation matrix
 class Squares(NamedTuple):
     """Normalized squared errors of one run."""
 
-    whole: Array  # e' P^-1 e over the states that count, divided by the rank of P
+    nees: Array  # e' P^-1 e over the states that count, divided by the rank of P
     signal: Array  # [n], NaN for a state that does not count
     states: Array  # the rank of P
     innovation: InnovationStats | None = None  # sums over the run, if the observer defines `innovation`
@@ -120,8 +120,8 @@ def normalize_error(e: Array, P: Array, prior: Array) -> Squares:
     correlation = jnp.where(counts[:, None] & counts[None, :], P / (std[:, None] * std[None, :]), jnp.eye(n))
     size, V = jnp.linalg.eigh(correlation)
     spans = size > RANK * size[-1]
-    left = jnp.sum(jnp.where(spans, jnp.square(V.T @ e) / jnp.where(spans, size, 1.0), 0.0))
+    square_pinv = jnp.sum(jnp.where(spans, jnp.square(V.T @ e) / jnp.where(spans, size, 1.0), 0.0))
     full = jnp.all(spans)
-    square = jnp.where(full, e @ jnp.linalg.solve(jnp.where(full, correlation, jnp.eye(n)), e), left)
+    square = jnp.where(full, e @ jnp.linalg.solve(jnp.where(full, correlation, jnp.eye(n)), e), square_pinv)
     rank = (jnp.sum(counts) - jnp.sum(~spans)).astype(float)
     return Squares(square / rank, jnp.where(counts, e * e, jnp.nan), rank)

@@ -44,11 +44,11 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
                 "jax.numpy code for one run that accepts estimates with further signals after the states."
             ) from error
 
-    def command(params: Params, xhat: PyTree, *kept: PyTree) -> PyTree:
+    def command(params: Params, xhat: PyTree, *memory: PyTree) -> PyTree:
         now = Now(tick * 1.0, tick, jnp.asarray(1.0), jnp.zeros(sizes.m), lambda age: jnp.zeros(sizes.m))
         decide: PyTree = law.command
-        out = decide(params, now, xhat, lambda i: jnp.zeros(sizes.m), *kept)
-        return out if kept else (out, ())
+        out = decide(params, now, xhat, lambda i: jnp.zeros(sizes.m), *memory)
+        return out if memory else (out, ())
 
     target = ask("target", lambda params: jnp.asarray(law.target(params, tick)))
     if target.ndim != 1 or target.shape[0] > sizes.n:
@@ -56,10 +56,10 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
             f"controller {label}: target returned shape {target.shape}, expected the set point of the first states, "
             f"({sizes.n},) at most; return a vector."
         )
-    before = ask("before", lambda params, xhat: jnp.asarray(law.before(params, tick, xhat)), estimate)
-    kept = [ask("start", law.start, estimate)] if law.start else []
+    first_command = ask("before", lambda params, xhat: jnp.asarray(law.before(params, tick, xhat)), estimate)
+    memory = [ask("start", law.start, estimate)] if law.start else []
     try:
-        decided, after = ask("command", command, estimate, *kept)
+        u, next_memory = ask("command", command, estimate, *memory)
     except (TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
@@ -67,16 +67,16 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
             f"controller {label}: command returned no pair, expected (command, memory), as the law has `start`; return "
             "both."
         ) from None
-    for name, found in (("before", before), ("command", decided)):
-        if getattr(found, "shape", None) != (sizes.m,):
+    for name, output in (("before", first_command), ("command", u)):
+        if getattr(output, "shape", None) != (sizes.m,):
             raise UserError(
-                f"controller {label}: {name} returned {_form(found)}, expected ({sizes.m},), a number for each input; return "
+                f"controller {label}: {name} returned {_form(output)}, expected ({sizes.m},), a number for each input; return "
                 "that."
             )
-    if kept and _form(after) != _form(kept[0]):
+    if memory and _form(next_memory) != _form(memory[0]):
         raise UserError(
-            f"controller {label}: command keeps {_form(after)}, expected what start returns, {_form(kept[0])}; keep its "
-            "structure, shapes and types."
+            f"controller {label}: command keeps {_form(next_memory)}, expected what start returns, {_form(memory[0])}; "
+            "keep its structure, shapes and types."
         )
 
 

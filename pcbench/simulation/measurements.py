@@ -72,9 +72,9 @@ class Trigger(NamedTuple):
 class Sensors(NamedTuple):
     """State of the sensors in one run."""
 
-    held: Array  # [q] the last value sent; NaN: none yet
-    taken: Array  # number of samples taken, over all channels
-    sent: Array  # number of samples sent
+    values: Array  # [q] the last value sent; NaN: none yet
+    n_samples: Array  # number of samples taken, over all channels
+    n_sent: Array  # number of samples sent
     last: Array  # the last tick with an arrival; 0: none yet
 
 
@@ -83,18 +83,19 @@ def first_sensors(q: int) -> Sensors:
     return Sensors(jnp.full(q, jnp.nan), jnp.zeros(()), jnp.zeros(()), jnp.asarray(0))
 
 
-def send(t: Trigger, sensors: Sensors, y: Array, taken: Array) -> tuple[Sensors, Array]:
-    """Return the sensor state after samples y [q] of the channels `taken` [q], and y with NaN where it is not sent.
+def send(t: Trigger, sensors: Sensors, y: Array, is_sampled: Array) -> tuple[Sensors, Array]:
+    """Return the sensor state after samples y [q] of the channels `is_sampled` [q], and y with NaN where it is not sent.
 
     A channel that has sent nothing yet has an infinite change. If changes are equal, the first channel is sent. A change equal
     to the threshold within rounding is sent.
     """
-    change = jnp.where(jnp.isnan(sensors.held), jnp.inf, jnp.abs(y - sensors.held))
-    sent = taken & (change >= t.threshold * (1 - 1e-9))
-    change = jnp.where(sent, change / jnp.where(t.threshold > 0, t.threshold, 1.0), -1.0)
-    sent &= (t.largest == 0) | (jnp.arange(len(y)) == jnp.argmax(change))
-    held, many = jnp.where(sent, y, sensors.held), (sensors.taken + jnp.sum(taken), sensors.sent + jnp.sum(sent))
-    return Sensors(held, *many, sensors.last), jnp.where(sent, y, jnp.nan)
+    change = jnp.where(jnp.isnan(sensors.values), jnp.inf, jnp.abs(y - sensors.values))
+    is_sent = is_sampled & (change >= t.threshold * (1 - 1e-9))
+    change = jnp.where(is_sent, change / jnp.where(t.threshold > 0, t.threshold, 1.0), -1.0)
+    is_sent &= (t.largest == 0) | (jnp.arange(len(y)) == jnp.argmax(change))
+    values = jnp.where(is_sent, y, sensors.values)
+    n_samples, n_sent = sensors.n_samples + jnp.sum(is_sampled), sensors.n_sent + jnp.sum(is_sent)
+    return Sensors(values, n_samples, n_sent, sensors.last), jnp.where(is_sent, y, jnp.nan)
 
 
 def quantize(r: Rounding, y: Array, uniform: Array) -> Array:
@@ -125,14 +126,14 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
     With `apart`, the compiler cannot fuse the noise with the code that uses it. A run then has the same bits with and without
     outliers of probability 0.
     """
-    many = p.noise_std.shape[0]
-    keys = rng.run_keys(root_seed, seeds, "measurement", many)
-    odd = rng.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
-    tail = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", many)
+    q = p.noise_std.shape[0]
+    keys = rng.run_keys(root_seed, seeds, "measurement", q)
+    outlier_keys = rng.run_keys(root_seed, seeds, "outlier", q) if p.outliers else []
+    tail = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", q)
 
-    dither = rng.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
+    dither = rng.run_keys(root_seed, seeds, "dither", q) if p.rounding else []
 
-    def drawn(channels: list[int], index: PyTree) -> Array:
+    def sample(channels: list[int], index: PyTree) -> Array:
         v = noise(channels, index)
         v = lax.optimization_barrier(v) if apart else v
         return jnp.concatenate([v, rng.uniforms_of([dither[j] for j in channels], index)]) if dither else v
@@ -140,8 +141,8 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
     def normals(channels: list[int], index: PyTree) -> Array:
         if not p.noise_root.shape[0]:
             return rng.normals([keys[j] for j in channels], index)
-        each = [rng.normals(keys, [index[i]] * many) for i in range(len(channels))]
-        return jnp.stack([jnp.tensordot(p.noise_root[j], w, 1) for j, w in zip(channels, each, strict=True)])
+        independent = [rng.normals(keys, [index[i]] * q) for i in range(len(channels))]
+        return jnp.stack([jnp.tensordot(p.noise_root[j], w, 1) for j, w in zip(channels, independent, strict=True)])
 
     def noise(channels: list[int], index: PyTree) -> Array:
         v = normals(channels, index)
@@ -150,7 +151,7 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
         if not p.outliers:
             return v
         probability, scale = (_of_channels(a, channels, v.ndim) for a in p.outliers)
-        out = rng.uniforms_of([odd[j] for j in channels], index) < probability
-        return jnp.where(out, scale * v, v)
+        is_outlier = rng.uniforms_of([outlier_keys[j] for j in channels], index) < probability
+        return jnp.where(is_outlier, scale * v, v)
 
-    return drawn
+    return sample

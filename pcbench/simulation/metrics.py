@@ -82,9 +82,9 @@ def start(n: int) -> ErrorSums:
     return ErrorSums(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
 
 
-def start_watch(n: int, bounded: int = 0) -> SettlingState:
-    """Return the settling state before the first tick, for an observer that bounds `bounded` signals."""
-    interval = IntervalSums(jnp.zeros(bounded), jnp.zeros(bounded)) if bounded else ()
+def start_watch(n: int, n_bounded: int = 0) -> SettlingState:
+    """Return the settling state before the first tick, for an observer that bounds `n_bounded` signals."""
+    interval = IntervalSums(jnp.zeros(n_bounded), jnp.zeros(n_bounded)) if n_bounded else ()
     return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0), interval)
 
 
@@ -102,16 +102,16 @@ def look(
     `band` and `bound` are [n] or longer; a NaN exceeds the bound. `interval` has the sums of this tick, if there are bounds.
     """
     n = e.shape[0]
-    size, now = jnp.abs(e), tick.astype(float)
+    size, t = jnp.abs(e), tick.astype(float)
     good = jnp.all(size <= bound[:n])
-    first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, now)
+    first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, t)
     outside, recovery = size > band[:n], watch.recovery
     if jumps.shape[0]:
         since = jnp.min(jnp.where(jumps <= tick, tick - jumps, tick))
-        after = jnp.any(jumps <= tick)
-        recovery = jnp.where(outside & after, jnp.maximum(recovery, since + 1.0), recovery)
+        has_jumped = jnp.any(jumps <= tick)
+        recovery = jnp.where(outside & has_jumped, jnp.maximum(recovery, since + 1.0), recovery)
     intervals = jax.tree.map(jnp.add, watch.interval, interval)
-    return SettlingState(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad, intervals)
+    return SettlingState(jnp.where(outside, t + 1, watch.unsettled), recovery, first_bad, intervals)
 
 
 def read(
@@ -141,8 +141,8 @@ def read(
     - `diverged` [L] and `divergence_time` [L, s] (NaN: none). A diverged run has NaN for every metric.
     - `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
-    whole = ErrorSums(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
-    late = ErrorSums(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
+    total = ErrorSums(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
+    steady = ErrorSums(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
     out: dict[str, NDArray] = {}
     for prefix, first, count in (("", 0, ticks), ("steady_", 1, ticks - tail)):
         if tracking is not None:
@@ -151,7 +151,7 @@ def read(
             out[prefix + "lq_cost"] = np.asarray(effort.cost)[first:].sum(0)[None] / count
         if effort is not None:
             out[prefix + "input_rms"] = np.sqrt(np.asarray(effort.square)[first:].sum(0)[None] / count)
-    for prefix, s, count in (("", whole, ticks), ("steady_", late, ticks - tail)):
+    for prefix, s, count in (("", total, ticks), ("steady_", steady, ticks - tail)):
         out[prefix + "mae"] = np.asarray(s.absolute) / count
         out[prefix + "mse"] = np.asarray(s.square) / count
         out[prefix + "rmse"] = np.sqrt(out[prefix + "mse"])
@@ -161,10 +161,10 @@ def read(
     if jumps:
         out["recovery_time"] = np.asarray(watch.recovery) * dt
     if squares is not None:
-        out |= {"nees": np.atleast_2d(squares.whole), "nees_dof": np.atleast_2d(squares.states)}
+        out |= {"nees": np.atleast_2d(squares.nees), "nees_dof": np.atleast_2d(squares.states)}
         out["signal_nees"] = np.asarray(squares.signal)
-        if (found := squares.innovation) is not None:
-            square, degrees = np.atleast_2d(found.nis_sum), np.atleast_2d(found.dof)
+        if (innovation := squares.innovation) is not None:
+            square, degrees = np.atleast_2d(innovation.nis_sum), np.atleast_2d(innovation.dof)
             with np.errstate(invalid="ignore"):  # 0 / 0 in a run without a tested sample
                 out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_dof": degrees}
     if watch.interval:
@@ -172,7 +172,7 @@ def read(
         out["interval_coverage"] = np.asarray(watch.interval.inside) / ticks
     if sent is not None:
         out["sent_fraction"] = np.atleast_2d(sent)
-    bad = np.asarray(watch.first_bad) >= 0
-    out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
-    out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)
-    return out | {"diverged": bad, "divergence_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}
+    diverged = np.asarray(watch.first_bad) >= 0
+    out = {name: np.where(diverged, np.nan, values) for name, values in out.items()}
+    out["unsettled"] = ~diverged & (np.asarray(watch.unsettled) > tail)
+    return out | {"diverged": diverged, "divergence_time": np.where(diverged, np.asarray(watch.first_bad) * dt, np.nan)}

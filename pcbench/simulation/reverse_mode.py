@@ -32,12 +32,12 @@ def metrics(
     p = p._replace(windows=np.array([[0, tail], [tail, ticks]]))
 
     def one(seed: Array) -> dict[str, dict[str, Array]]:
-        drawn = simulate_runs.draw(layout, p, root_seed, seed)
-        params = params_of(layout, p, drawn.plant)
+        draws = simulate_runs.draw(layout, p, root_seed, seed)
+        params = params_of(layout, p, draws.plant)
 
         def step(run: Run, k: Array) -> tuple[Run, None]:
             def tick(run: Run) -> Run:
-                return simulate_runs.tick(layout, p, params, drawn, run, k)[0]
+                return simulate_runs.tick(layout, p, params, draws, run, k)[0]
 
             return lax.cond(k < ticks, tick, lambda run: run, run), None
 
@@ -45,15 +45,17 @@ def metrics(
         def chunk(run: Run, start: Array) -> tuple[Run, None]:
             return lax.scan(step, run, start + jnp.arange(size))
 
-        start = simulate_runs.initial_run(layout, p, params, drawn)
+        start = simulate_runs.initial_run(layout, p, params, draws)
         end, _ = lax.scan(chunk, start, jnp.arange(0, ticks, size))
-        found = {label: (_over(s, 0), _over(s, 1)) for label, s in end.streams.items()}
-        return {o: _read(whole, ticks, "") | _read(late, ticks - tail, "steady_") for o, (whole, late) in found.items()}
+        sums = {label: (_sum_from(s, 0), _sum_from(s, 1)) for label, s in end.streams.items()}
+        return {
+            o: _read(total, ticks, "") | _read(steady, ticks - tail, "steady_") for o, (total, steady) in sums.items()
+        }
 
     return jax.vmap(one, out_axes=-1)(seeds)
 
 
-def _over(stream: ErrorSums, window: int) -> ErrorSums:
+def _sum_from(stream: ErrorSums, window: int) -> ErrorSums:
     """Return the sums over the windows from `window` on; the first window ends where the tail starts."""
     return ErrorSums(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
 

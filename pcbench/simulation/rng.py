@@ -30,15 +30,15 @@ def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Ar
 def normals(keys: list[Array], index: PyTree) -> Array:
     """Draw N(0, 1) for sample index[j] of each channel j, one index for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64)))
-    each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
-    return draw(jnp.stack(keys), each)  # stacked: the hash is compiled once instead of once per channel
+    indices = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
+    return draw(jnp.stack(keys), indices)  # stacked: the hash is compiled once instead of once per channel
 
 
 def uniforms_of(keys: list[Array], index: PyTree) -> Array:
     """Draw a uniform number in [0, 1) for sample index[j] of each channel j, one index for all runs or [L]: [channels, L]."""
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.uniform(jax.random.fold_in(key, i), dtype=jnp.float64)))
-    each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
-    return draw(jnp.stack(keys), each)
+    indices = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
+    return draw(jnp.stack(keys), indices)
 
 
 def words(root_seed: Array, seeds: Array) -> Array:
@@ -52,10 +52,10 @@ def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1
     For users and tests. Simulations draw the same numbers sample by sample (`measurements.noise_sampler`).
     """
     keys = run_keys(jnp.asarray(root_seed), jnp.asarray([seed]), "measurement", channels)
-    each = [
+    rows = [
         jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)
     ]
-    return jnp.stack(each)
+    return jnp.stack(rows)
 
 
 def uniform(keys: list[Array], index: Array) -> Array:

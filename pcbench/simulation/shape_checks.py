@@ -22,7 +22,7 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
     signals = len(p.band)
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
-    def arriving(f: Any) -> PyTree:
+    def at_arrival(f: Any) -> PyTree:
         def at_event(p: GridPointParams, memory: Memory, value: PyTree, snapshot: PyTree) -> PyTree:
             arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), snapshot, k)
             return f(p.gains[label], memory, present(p, k, False), arrival)
@@ -48,15 +48,15 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         )
     xhat = ask("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
     if xhat.shape not in ((n,), (signals,)):
-        more = f", or ({signals},) with its unknown inputs" if signals > n else ""
+        suffix = f", or ({signals},) with its unknown inputs" if signals > n else ""
         raise UserError(
-            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}; "
+            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{suffix}; "
             "return all of it."
         )
-    _same(label, "jump", ask("jump", arriving(observer.jump), memory, value, snapshot), memory)
+    _check_memory(label, "jump", ask("jump", at_arrival(observer.jump), memory, value, snapshot), memory)
     if (on_sample := observer.on_sample) is not None:
         mask = jax.ShapeDtypeStruct((q,), bool)
-        _same(
+        _check_memory(
             label,
             "on_sample",
             ask("on_sample", lambda p, m, f: on_sample(p.gains[label], m, present(p, k, False), f), memory, mask),
@@ -64,8 +64,10 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         )
     if (init_random := observer.init_random) is not None:
         words = jax.ShapeDtypeStruct((2,), jnp.uint32)
-        own = ask("init_random", lambda p, m, w, x: init_random(p.gains[label], m, w, x), memory, words, state)
-        _same(label, "init_random", own, memory)
+        seeded_memory = ask(
+            "init_random", lambda p, m, w, x: init_random(p.gains[label], m, w, x), memory, words, state
+        )
+        _check_memory(label, "init_random", seeded_memory, memory)
     if (covariance := observer.covariance) is not None:
         P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):
@@ -81,17 +83,17 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
                 "bounds of all estimated signals; return both."
             )
     if (delay := observer.delay) is not None:
-        two = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
-        if two.shape != (2,):
+        moments = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
+        if moments.shape != (2,):
             raise UserError(
-                f"observer {label}: delay returned shape {two.shape}, expected (2,): the mean delay and its standard deviation "
-                "[s]; return both."
+                f"observer {label}: delay returned shape {moments.shape}, expected (2,): the mean delay and its standard "
+                "deviation [s]; return both."
             )
     if observer.innovation is not None:
-        found = ask("innovation", arriving(observer.innovation), memory, value, snapshot)
-        if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in (
-            *([()] * many for many in (2, 3, 4)),
-            *([*[()] * 4, *[value.shape] * many] for many in (1, 2)),
+        stats = ask("innovation", at_arrival(observer.innovation), memory, value, snapshot)
+        if (shapes := [leaf.shape for leaf in jax.tree.leaves(stats)]) not in (
+            *([()] * count for count in (2, 3, 4)),
+            *([*[()] * 4, *[value.shape] * count] for count in (1, 2)),
         ):
             raise UserError(
                 f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and its "
@@ -99,22 +101,22 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
             )
     if continuous and observer.field is not None:
         field = observer.field
-        _same(
+        _check_memory(
             label,
             "field",
             ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
             memory,
         )
-    flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
-    _same(label, "flow", flowed, memory)
+    next_memory = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
+    _check_memory(label, "flow", next_memory, memory)
 
 
-def _same(label: str, name: str, found: PyTree, memory: Memory) -> None:
+def _check_memory(label: str, name: str, output: PyTree, memory: Memory) -> None:
     def form(tree: PyTree) -> PyTree:
         return jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree)
 
-    if str(jax.tree.structure(found)) != str(jax.tree.structure(memory)) or form(found) != form(memory):
+    if str(jax.tree.structure(output)) != str(jax.tree.structure(memory)) or form(output) != form(memory):
         raise UserError(
-            f"observer {label}: {name} returned {form(found)}, expected the memory that init returns, {form(memory)}; "
+            f"observer {label}: {name} returned {form(output)}, expected the memory that init returns, {form(memory)}; "
             "keep its structure, shapes and types."
         )

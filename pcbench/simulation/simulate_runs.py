@@ -85,15 +85,15 @@ def simulate_runs(
 def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> RunSums:
     """Return the sums of one run."""
     layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
-    drawn = draw(layout, p, root_seed, seed)
-    params = params_of(layout, p, drawn.plant)
+    draws = draw(layout, p, root_seed, seed)
+    params = params_of(layout, p, draws.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
-    start = initial_run(layout, p, params, drawn)
-    run, _ = lax.scan(lambda run, k: tick(layout, p, params, drawn, run, k), start, jnp.arange(last))
+    start = initial_run(layout, p, params, draws)
+    run, _ = lax.scan(lambda run, k: tick(layout, p, params, draws, run, k), start, jnp.arange(last))
     k = jnp.asarray(last, int)  # as an array: a Python number would take its type from the other operand
-    run = estimate(layout, p, params, k, events(layout, p, params, drawn, k, run))
+    run = estimate(layout, p, params, k, events(layout, p, params, draws, k, run))
     if isinstance(p.weights, metrics.Weights):
-        run = control(layout, p, k, run, drawn.command(k))
+        run = control(layout, p, k, run, draws.command(k))
     e = errors(layout, p, params, k, run)
     return RunSums(
         streams=run.streams,
@@ -103,7 +103,7 @@ def simulate_run(layout: Layout, p: GridPointParams, root_seed: Array, seed: Arr
         effort=run.effort,
         consistency=normalized_errors(layout, p, k, run, e) if layout.consistency else (),
         actual=truth(layout, params, present(p, k, True), run.x),
-        sent=run.sensors.sent / run.sensors.taken if p.trigger else (),
+        sent=run.sensors.n_sent / run.sensors.n_samples if p.trigger else (),
     )
 
 
@@ -111,16 +111,16 @@ def tick(
     layout: Layout,
     p: GridPointParams,
     params: Params,
-    drawn: Draws,
+    draws: Draws,
     run: Run,
     k: Array,
     read: Callable[[Array, Run], Tree] = lambda k, run: None,
     shift: Shift | None = None,
 ) -> tuple[Run, Tree]:
     """Return a run at tick k + 1, and the value of `read` at tick k after its command."""
-    run = events(layout, p, params, drawn, k, run, shift)  # 1. sense, 2. deliver
+    run = events(layout, p, params, draws, k, run, shift)  # 1. sense, 2. deliver
     run = estimate(layout, p, params, k, run)  # 3. estimate
-    return advance(layout, p, params, k, run, drawn.process(k), drawn.command(k), read)
+    return advance(layout, p, params, k, run, draws.process(k), draws.command(k), read)
 
 
 def advance(
@@ -142,12 +142,12 @@ def advance(
 
 
 def events(
-    layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+    layout: Layout, p: GridPointParams, params: Params, draws: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """Do steps 1 and 2 at a tick at which something is sampled or arrives."""
 
     def happen(run: Run) -> Run:
-        return deliver(layout, p, k, sense(layout, p, params, drawn, k, run, shift))
+        return deliver(layout, p, k, sense(layout, p, params, draws, k, run, shift))
 
     return lax.cond(p.schedule.event[k], happen, lambda run: run, run)
 
@@ -159,7 +159,7 @@ def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> D
     uniform = partial(rng.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
     process = rng.run_keys(root_seed, one, "process", p.process_std.shape[0])
     noise = measurements.noise_sampler(p, root_seed, one)
-    sent = command_network.command_sampler(p.network, root_seed, one) if layout.pending else None
+    command = command_network.command_sampler(p.network, root_seed, one) if layout.pending else None
 
     return Draws(
         start=normal[:, 0],
@@ -168,17 +168,17 @@ def draw(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array) -> D
         words=rng.words(root_seed, one)[:, 0],
         sample=lambda numbers: noise(list(range(q)), numbers)[:, 0],
         process=lambda k: rng.normals(process, [k for _ in process])[:, 0] if process else jnp.zeros(0),
-        command=lambda k: jax.tree.map(lambda a: a[..., 0], sent(k)) if sent else (),
+        command=lambda k: jax.tree.map(lambda a: a[..., 0], command(k)) if command else (),
     )
 
 
-def initial_run(layout: Layout, p: GridPointParams, params: Params, drawn: Draws) -> Run:
+def initial_run(layout: Layout, p: GridPointParams, params: Params, draws: Draws) -> Run:
     """Return a run before tick 0."""
-    x = p.x0 + p.spread0 @ drawn.start if layout.random_initial_state else p.x0
-    xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
-    run = run_from(layout, p, jnp.asarray(x), xhat0, drawn.words)
+    x = p.x0 + p.spread0 @ draws.start if layout.random_initial_state else p.x0
+    xhat0 = p.xhat0 + p.scatter * (2 * draws.box - 1) if layout.scattered else p.xhat0
+    run = run_from(layout, p, jnp.asarray(x), xhat0, draws.words)
     for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they measure x(0)
-        y = measure(layout, p, params, jnp.asarray(0, int), run.x, drawn.sample(p.schedule.early[number]))
+        y = measure(layout, p, params, jnp.asarray(0, int), run.x, draws.sample(p.schedule.early[number]))
         run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
     return run
 
@@ -216,8 +216,8 @@ def start_watches(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.Se
     """Return the settling states before tick 0, by observer with its number of errors."""
     if not layout.watch:
         return {}
-    bounded = {label: sizes[label] - layout.plant.scored if o.bounds else 0 for label, o in layout.observers}
-    return {label: metrics.start_watch(size, bounded[label]) for label, size in sizes.items()}
+    n_bounded = {label: sizes[label] - layout.plant.scored if o.bounds else 0 for label, o in layout.observers}
+    return {label: metrics.start_watch(size, n_bounded[label]) for label, size in sizes.items()}
 
 
 def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Array, v: Array) -> Array:
@@ -239,28 +239,28 @@ def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, com
 
 
 def sense(
-    layout: Layout, p: GridPointParams, params: Params, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+    layout: Layout, p: GridPointParams, params: Params, draws: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """1. Take the sample of tick k, if there is one, with the snapshots; notify observers with `on_sample`."""
     plan = p.schedule
 
-    def put(ring: Tree, number: Array, value: Tree) -> Tree:
+    def set_row(ring: Tree, number: Array, value: Tree) -> Tree:
         place = number % layout.ring
         return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
 
     values, notes = run.flight
-    y, taken = measure(layout, p, params, k, run.x, drawn.sample(plan.sample[k])), plan.sample[k] >= 0
+    y, is_sampled = measure(layout, p, params, k, run.x, draws.sample(plan.sample[k])), plan.sample[k] >= 0
     if p.trigger:
-        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & taken)
-        run, taken = run._replace(sensors=sensors), taken & ~jnp.isnan(y)
-    found = take_notes(layout, p, k, run.memories, run.commands)
+        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & is_sampled)
+        run, is_sampled = run._replace(sensors=sensors), is_sampled & ~jnp.isnan(y)
+    snapshots = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
-        found = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), found)
-    values = put(values, plan.sense[k], y)
+        snapshots = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), snapshots)
+    values = set_row(values, plan.sense[k], y)
     for number in (plan.snapshot[k], *(plan.extra_snapshots[k, i] for i in range(plan.extra_snapshots.shape[1]))):
-        notes = put(notes, number, found)
-    notified = notify(layout, p, k, run, taken)
+        notes = set_row(notes, number, snapshots)
+    notified = notify(layout, p, k, run, is_sampled)
     memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
     return run._replace(memories=memories, flight=Packet(values, notes))
 
@@ -276,7 +276,7 @@ def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) 
 
 def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
-    plan, came = p.schedule, jnp.asarray(False)
+    plan, has_arrived = p.schedule, jnp.asarray(False)
     for slot in range(plan.arrive.shape[1]):
         number, mask = plan.arrive[k, slot], plan.mask[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
@@ -284,18 +284,18 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
         if p.trigger:
             silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
             values, since = jnp.where(mask, values, 0.0), k - run.sensors.last
-            came |= (number >= 0) & jnp.any(mask)
+            has_arrived |= (number >= 0) & jnp.any(mask)
         arrival = partial(Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=since, silent=silent)
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
         if p.trigger:  # nothing arrives if no channel has sent
-            hears = {label for label, o in layout.observers if o.uses_silence}
+            listeners = {label for label, o in layout.observers if o.uses_silence}
             memories = {
-                label: each if label in hears else select(jnp.any(mask), each, run.memories[label])
-                for label, each in memories.items()
+                label: memory if label in listeners else select(jnp.any(mask), memory, run.memories[label])
+                for label, memory in memories.items()
             }
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     if p.trigger:
-        run = run._replace(sensors=run.sensors._replace(last=jnp.where(came, k, run.sensors.last)))
+        run = run._replace(sensors=run.sensors._replace(last=jnp.where(has_arrived, k, run.sensors.last)))
     return run
 
 
@@ -314,18 +314,18 @@ def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Ru
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
     e = {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
-    own = own_errors(layout, p, params, k, run)
-    return {label: jnp.concatenate([e[label], own[label]]) for label in e} if own else e
+    user_defined = own_errors(layout, p, params, k, run)
+    return {label: jnp.concatenate([e[label], user_defined[label]]) for label in e} if user_defined else e
 
 
 def intervals(
     layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run
 ) -> dict[str, metrics.IntervalSums]:
     """Return interval width and coverage of tick k, for observers with bounds."""
-    able = [(label, o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds]
-    z = truth(layout, params, present(p, k, True), run.x) if able else run.x
-    inside = {label: (low <= z[: len(low)]) & (z[: len(low)] <= high) for label, (low, high) in able}
-    return {label: metrics.IntervalSums(high - low, inside[label].astype(float)) for label, (low, high) in able}
+    bounds = [(label, o.bounds(p.gains[label], run.memories[label])) for label, o in layout.observers if o.bounds]
+    z = truth(layout, params, present(p, k, True), run.x) if bounds else run.x
+    inside = {label: (lower <= z[: len(lower)]) & (z[: len(lower)] <= upper) for label, (lower, upper) in bounds}
+    return {label: metrics.IntervalSums(upper - lower, inside[label].astype(float)) for label, (lower, upper) in bounds}
 
 
 def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
@@ -341,23 +341,23 @@ def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: 
     """3. Add the errors of tick k, and the tracking error of a closed loop, to the sums of its window."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
-    found = intervals(layout, p, params, k, run) if run.watches else {}
+    interval_sums = intervals(layout, p, params, k, run) if run.watches else {}
     watches = {
-        label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, found.get(label, ()))
+        label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, interval_sums.get(label, ()))
         for label, w in run.watches.items()
     }
     tracking = run.tracking
     if layout.controller and run.tracking:
-        off = closed_loop.off_target(layout.controller, p, k, run.x)
-        tracking = update_window(tracking, window, lambda s: metrics.update(s, off))
+        error = closed_loop.off_target(layout.controller, p, k, run.x)
+        tracking = update_window(tracking, window, lambda s: metrics.update(s, error))
     return run._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
+def control(layout: Layout, p: GridPointParams, k: Array, run: Run, draws: PyTree) -> Run:
     """4. Compute the command of tick k in a closed loop, and add its cost."""
     if layout.controller is None:
         return run
-    run = command(layout, p, k, run, drawn)
+    run = command(layout, p, k, run, draws)
     if not isinstance(p.weights, metrics.Weights):
         return run
     window = jnp.sum(k >= p.windows[:, 1])
@@ -365,23 +365,23 @@ def control(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTre
     return run._replace(effort=effort)
 
 
-def command(layout: Layout, p: GridPointParams, k: Array, run: Run, drawn: PyTree) -> Run:
+def command(layout: Layout, p: GridPointParams, k: Array, run: Run, draws: PyTree) -> Run:
     """Return the run with the command of tick k, which the controller computes from the present estimate."""
     controller: PyTree = layout.controller
     ((label, observer),) = layout.observers
     now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
-    sent = run.commands.sent if layout.pending else run.commands
+    ring = run.commands.commands if layout.pending else run.commands
 
-    def coming(i: Array) -> Array:
-        return command_network.read(p.line, sent, k + i, k - 1)
+    def future_input(i: Array) -> Array:
+        return command_network.read(p.line, ring, k + i, k - 1)
 
     if controller.start:
-        c, law = controller.command(p.control, now, xhat, coming, run.law)
+        c, law = controller.command(p.control, now, xhat, future_input, run.law)
     else:
-        c, law = controller.command(p.control, now, xhat, coming), run.law
+        c, law = controller.command(p.control, now, xhat, future_input), run.law
     commands: PyTree
     if layout.pending:
-        commands = command_network.send(p.network, k, run.commands, c, drawn)
+        commands = command_network.send(p.network, k, run.commands, c, draws)
     else:
         commands = command_network.write(run.commands, k, c)
     return run._replace(commands=commands, law=law)
@@ -412,25 +412,25 @@ def as_one_field(layout: Layout, p: GridPointParams, params: Params, now: Now, r
     plant: PyTree = layout.plant.field
 
     def field(t: Array, z: PyTree) -> PyTree:
-        there, (x, memories) = now._replace(t=t), z
-        y = layout.plant.output(params, there, x)
-        rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
-        return plant(params, closed_loop.add_command_noise(there, run.commands), x), rates
+        stage, (x, memories) = now._replace(t=t), z
+        y = layout.plant.output(params, stage, x)
+        rates = {label: o.field(p.gains[label], memories[label], stage, y) for label, o in layout.observers if o.field}
+        return plant(params, closed_loop.add_command_noise(stage, run.commands), x), rates
 
-    moved: tuple[Array, Tree] = rk4(field, now.t, (run.x, run.memories), now.dt)
-    return moved
+    end: tuple[Array, Tree] = rk4(field, now.t, (run.x, run.memories), now.dt)
+    return end
 
 
 def normalized_errors(
     layout: Layout, p: GridPointParams, k: Array, run: Run, e: dict[str, Array]
 ) -> dict[str, innovation_stats.Squares]:
     """Return the normalized errors of tick k, for observers that report a covariance."""
-    prior, found = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
+    prior, covariances = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
     return {
         label: innovation_stats.normalize_error(e[label][: len(prior)], P, prior)._replace(
             innovation=innovation_stats.sums(run.memories[label])
         )
-        for label, P in found.items()
+        for label, P in covariances.items()
     }
 
 
@@ -439,12 +439,12 @@ def freeze_diverged(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:
     return closed_loop.unless_diverged(run.watches, new, old) if layout.controller else new
 
 
-def select(which: Array, new: Tree, old: Tree) -> Tree:
-    """Return `new` where `which`, else `old`."""
-    return jax.tree.map(lambda a, b: jnp.where(which, a, b), new, old)
+def select(mask: Array, new: Tree, old: Tree) -> Tree:
+    """Return `new` where `mask` is true, else `old`."""
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), new, old)
 
 
-def update_window(windows: Tree, window: Array, more: Callable[[Tree], Tree]) -> Tree:
-    """Return sums [W, ...] with one window updated by `more`."""
-    mine = more(jax.tree.map(lambda a: a[window], windows))
-    return jax.tree.map(lambda a, new: a.at[window].set(new), windows, mine)
+def update_window(windows: Tree, window: Array, add: Callable[[Tree], Tree]) -> Tree:
+    """Return sums [W, ...] with one window updated by `add`."""
+    sums = add(jax.tree.map(lambda a: a[window], windows))
+    return jax.tree.map(lambda a, new: a.at[window].set(new), windows, sums)

@@ -43,7 +43,7 @@ class Trajectories(NamedTuple):
 
 def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
     """Record one run at every tick, tick N included; a `shift` changes its packets."""
-    start, params, drawn = _init_run(layout, p, root_seed, seed)
+    start, params, draws = _init_run(layout, p, root_seed, seed)
 
     def read(k: Array, run: Run) -> Recording:
         brought = _brought(layout, p, k, run)
@@ -60,7 +60,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
         )
 
     ticks = jnp.arange(p.schedule.event.shape[0])
-    step = partial(simulate_runs.tick, layout, p, params, drawn, read=read, shift=shift)
+    step = partial(simulate_runs.tick, layout, p, params, draws, read=read, shift=shift)
     return lax.scan(step, start, ticks)[1]
 
 
@@ -71,7 +71,7 @@ def record_some(
     ticks = jnp.arange(every * (rows - 1) + 1)
 
     def one(seed: Array) -> Trajectories:
-        start, params, drawn = _init_run(layout, p, root_seed, seed)
+        start, params, draws = _init_run(layout, p, root_seed, seed)
 
         def read(k: Array, run: Run) -> Trajectories:
             e = simulate_runs.errors(layout, p, params, k, run)
@@ -82,26 +82,26 @@ def record_some(
                 held=_newest(_brought(layout, p, k, run)),
                 target=closed_loop.aims(layout, p, k),
                 sigma=sigma(layout, p, k, run),
-                nees={label: (each.whole, each.states) for label, each in squares.items()},
+                nees={label: (square.nees, square.states) for label, square in squares.items()},
                 errors=simulate_runs.own_errors(layout, p, params, k, run),
                 bounds=_bounds(layout, p, run),
             )
 
         def step(carry: tuple[Run, Array, Trajectories], k: Array) -> tuple[tuple[Run, Array, Trajectories], None]:
-            run, held, table = carry
-            run, row = simulate_runs.tick(layout, p, params, drawn, run, k, read)
-            row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
+            run, values, table = carry
+            run, row = simulate_runs.tick(layout, p, params, draws, run, k, read)
+            row = row._replace(held=jnp.where(jnp.isnan(row.held), values, row.held))
             place = jnp.where(k % every == 0, k // every, rows)  # the last row takes the ticks that are not recorded
-            put = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
-            return (run, row.held, jax.tree.map(lambda a, v: put(a, v.astype(a.dtype)), table, row)), None
+            set_row = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
+            return (run, row.held, jax.tree.map(lambda a, v: set_row(a, v.astype(a.dtype)), table, row)), None
 
         shape = jax.eval_shape(lambda: read(ticks[0], start))
         table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
         end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
         return jax.tree.map(lambda a: a[:rows], end[2])
 
-    shared: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is common to all runs
-    return jax.vmap(one, out_axes=Trajectories(**shared))(seeds)
+    out_axes: PyTree = dict.fromkeys(Trajectories._fields, -1) | {"target": None}  # the set point is common to all runs
+    return jax.vmap(one, out_axes=Trajectories(**out_axes))(seeds)
 
 
 def measure_runs(
@@ -113,12 +113,12 @@ def measure_runs(
     """
 
     def one(seed: Array, x: Array, ticks: Array, numbers: Array) -> Array:
-        drawn = simulate_runs.draw(layout, p, root_seed, seed)
-        params = params_of(layout, p, drawn.plant)
+        draws = simulate_runs.draw(layout, p, root_seed, seed)
+        params = params_of(layout, p, draws.plant)
 
         def row(sensors: PyTree, at: tuple[Array, Array]) -> tuple[PyTree, Array]:
             k, number = at
-            y = simulate_runs.measure(layout, p, params, k, x[k], drawn.sample(number))
+            y = simulate_runs.measure(layout, p, params, k, x[k], draws.sample(number))
             return measurements.send(p.trigger, sensors, y, number >= 0) if p.trigger else (sensors, y)
 
         first = measurements.first_sensors(numbers.shape[-1]) if p.trigger else ()
@@ -137,17 +137,17 @@ def _init_run(
     layout: Layout, p: GridPointParams, root_seed: Array, seed: Array
 ) -> tuple[Run, PyTree, simulate_runs.Draws]:
     """Return a run before tick 0, its plant parameters and its random numbers."""
-    drawn = simulate_runs.draw(layout, p, root_seed, seed)
-    params = params_of(layout, p, drawn.plant)
-    return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
+    draws = simulate_runs.draw(layout, p, root_seed, seed)
+    params = params_of(layout, p, draws.plant)
+    return simulate_runs.initial_run(layout, p, params, draws), params, draws
 
 
 def sigma(layout: Layout, p: GridPointParams, k: Array, run: Run) -> dict[str, Array]:
     """Return the standard deviations of the error that observers report at tick k."""
     if not layout.consistency:
         return {}
-    found = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
-    return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
+    covariances = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
+    return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in covariances.items()}
 
 
 def _bounds(layout: Layout, p: GridPointParams, run: Run) -> dict[str, Array]:

@@ -97,7 +97,7 @@ class State(NamedTuple):
     """The state of a block of runs between ticks."""
 
     x: PerLane  # [n]
-    drawn: PyTree  # random numbers of the run's plant, [plant.drawn]; (): none
+    plant_draws: PyTree  # random numbers of the run's plant, [plant.drawn]; (): none
     memories: PyTree  # Memories; packed between events if each run has its own schedule
     flight: (
         PyTree  # packets on the network, in rings; `engine.common_schedule` and `random_schedules` use different forms
@@ -143,9 +143,9 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
-def params_of(layout: Layout, p: GridPointParams, drawn: PyTree) -> PyTree:
-    """Return the plant's parameters in the run with the random numbers `drawn`."""
-    return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
+def params_of(layout: Layout, p: GridPointParams, uniform: PyTree) -> PyTree:
+    """Return the plant's parameters in the run with the random numbers `uniform`."""
+    return layout.plant.of_run(p.params, uniform) if layout.drifting and layout.plant.of_run else p.params
 
 
 def truth(layout: Layout, params: Params, now: Now, x: Array) -> Array:

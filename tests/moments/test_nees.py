@@ -86,7 +86,7 @@ def test_what_is_known_counts_in_neither():
         np.array([[0.5], [0.0]]), np.diag([2.0, 0.0])[..., None], np.diag([4.0, 1e-30])[..., None], np.ones(2)
     )
     found = nees.squares(e)
-    assert found.whole.item() == pytest.approx(2.25 / 4)
+    assert found.nees.item() == pytest.approx(2.25 / 4)
     assert found.states.item() == 1
     assert np.isnan(found.signal[:, 0]).tolist() == [False, True]
     within = nees.inside(e)[0]

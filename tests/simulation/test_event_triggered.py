@@ -108,7 +108,7 @@ def test_the_value_sent_is_held_until_the_next_one():
         sensors, value = measurements.send(t, sensors, np.array([each]), np.array([True]))
         out.append(float(value[0]))
     np.testing.assert_array_equal(out, [0.0, np.nan, np.nan, 1.0, np.nan, np.nan, 0.0])
-    assert (float(sensors.taken), float(sensors.sent)) == (7, 3)
+    assert (float(sensors.n_samples), float(sensors.n_sent)) == (7, 3)
 
 
 @pytest.mark.ci

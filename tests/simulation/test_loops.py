@@ -152,7 +152,7 @@ def test_runs_that_are_taken_out_bring_their_own_commands():
     commands = lane_array.table(lane_array.split(jnp.arange(6.0).reshape(2, 1, 3)))
     state = State(
         x=(),
-        drawn=(),
+        plant_draws=(),
         memories=PackedMemory([], jnp.zeros((0, 3))),
         flight=(),
         streams={},

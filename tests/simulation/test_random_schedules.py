@@ -299,7 +299,7 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
             last, slot = (last, slot + 1) if arrives == previous else ((last[1], arrives), 0)
             previous = arrives
             assert plan.arrives[i, lane] == arrives
-            assert (plan.which[i, lane], plan.slot[i, lane], plan.ticks_since_arrival[i, lane]) == (
+            assert (plan.packet[i, lane], plan.slot[i, lane], plan.ticks_since_arrival[i, lane]) == (
                 first[at],
                 slot,
                 arrives - last[0],

@@ -27,13 +27,13 @@ def test_the_bands_worked_out_beforehand(n, runs, low, high):
 def test_normalised_squares_are_those_of_the_inverse_and_leave_out_what_is_known():
     e = DRAWS[0, 0]
     found = normalize_error(jnp.asarray(e), jnp.asarray(P), jnp.ones(3))
-    assert found.whole == pytest.approx(e @ np.linalg.solve(P, e) / 3, rel=1e-12)
+    assert found.nees == pytest.approx(e @ np.linalg.solve(P, e) / 3, rel=1e-12)
     np.testing.assert_allclose(found.signal, e**2 / np.diag(P), rtol=1e-12)
     known = P * np.outer([1.0, 1e-12, 1.0], [1.0, 1e-12, 1.0])
     less = normalize_error(jnp.asarray(e), jnp.asarray(known), jnp.ones(3))
     two = np.ix_([0, 2], [0, 2])
     assert less.states == 2
-    assert less.whole == pytest.approx(e[[0, 2]] @ np.linalg.solve(P[two], e[[0, 2]]) / 2, rel=1e-12)
+    assert less.nees == pytest.approx(e[[0, 2]] @ np.linalg.solve(P[two], e[[0, 2]]) / 2, rel=1e-12)
     assert np.isnan(less.signal).tolist() == [False, True, False]
 
 
@@ -44,11 +44,11 @@ def test_normalised_squares_of_a_singular_covariance_are_those_of_its_pseudo_inv
     known = w @ w / 2
     assert G @ w @ np.linalg.pinv(G @ G.T) @ (G @ w) / 2 == pytest.approx(known, rel=1e-12)
     found = normalize_error(jnp.asarray(G @ w), jnp.asarray(G @ G.T + rounding), jnp.ones(3))
-    assert (found.states, found.whole) == (2, pytest.approx(known, rel=1e-10))
+    assert (found.states, found.nees) == (2, pytest.approx(known, rel=1e-10))
     true = nees.FinalErrors(np.zeros((3, 1)), (G @ G.T)[..., None], (G @ G.T + rounding)[..., None], np.ones(3))
     exact = nees.squares(true)
     assert exact.states == 2
-    np.testing.assert_allclose([*exact.whole[0], *exact.signal[:, 0]], 1.0, rtol=1e-10)
+    np.testing.assert_allclose([*exact.nees[0], *exact.signal[:, 0]], 1.0, rtol=1e-10)
 
 
 def share_of(covariance, word):

@@ -55,47 +55,47 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
     out = []
     for clock in clocks:
         if clock.plain:
-            late = clock.period if clock.delay is None else clock.delay
-            each = enumerate(range(0, ticks + 1, clock.period))
-            out += [Sample(j, i * clock.stride, taken, taken + late) for i, taken in each for j in clock.channels]
+            delay = clock.period if clock.delay is None else clock.delay
+            rows = enumerate(range(0, ticks + 1, clock.period))
+            out += [Sample(j, i * clock.stride, tick, tick + delay) for i, tick in rows for j in clock.channels]
             continue
         due, last = instants(clock, ticks), None
-        for i, taken in enumerate(due[:-1]):
-            arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+        for i, tick in enumerate(due[:-1]):
+            arrives = due[i + 1] if clock.delay is None else tick + clock.delay
             if clock.turns:
                 turn = clock.turns[i % len(clock.turns)]
                 arrives = NEVER if turn == LOST else arrives + turn
             if clock.early:
-                taken, arrives = taken - age(clock, taken), taken
-                if taken == last:  # the delay grows as fast as time: no new sample arrives
+                tick, arrives = tick - age(clock, tick), tick
+                if tick == last:  # the delay grows as fast as time: no new sample arrives
                     continue
-                last = taken
-            if clock.outage[0] <= taken < clock.outage[1]:
+                last = tick
+            if clock.outage[0] <= tick < clock.outage[1]:
                 arrives = NEVER
-            ahead = clock.stamp.ahead(taken)
-            out += [Sample(channel, i * clock.stride, taken, arrives, ahead) for channel in clock.channels]
+            offset = clock.stamp.ahead(tick)
+            out += [Sample(channel, i * clock.stride, tick, arrives, offset) for channel in clock.channels]
     return out
 
 
 def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
-    """Return (arrival, taken, channel) of every one of the `samples`, [m, 3]; vectorized for plain clocks."""
+    """Return (arrival tick, sampling tick, channel) of each of the `samples`, [m, 3]; vectorized for plain clocks."""
     if not all(clock.plain for clock in clocks):
         return np.array([(s.arrives, s.taken, s.channel) for s in samples(clocks, ticks)], int).reshape(-1, 3)
-    each = []
+    tables = []
     for clock in clocks:
-        taken = np.repeat(np.arange(0, ticks + 1, clock.period), len(clock.channels))
-        late = clock.period if clock.delay is None else clock.delay
-        each.append(np.stack([taken + late, taken, np.resize(clock.channels, len(taken))], 1))
-    return np.concatenate(each)
+        instants = np.repeat(np.arange(0, ticks + 1, clock.period), len(clock.channels))
+        delay = clock.period if clock.delay is None else clock.delay
+        tables.append(np.stack([instants + delay, instants, np.resize(clock.channels, len(instants))], 1))
+    return np.concatenate(tables)
 
 
 def overtaking(found: list[Sample]) -> int:
     """Return the largest number of newer samples that arrive before an older one."""
-    each = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
-    taken, arrives = each.T
-    counts, shift = np.zeros(len(each), int), 1
-    while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
-        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+    times = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    timestamps, arrives = times.T
+    counts, shift = np.zeros(len(times), int), 1
+    while shift < len(times) and (timestamps[shift:] < arrives[:-shift]).any():
+        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (timestamps[shift:] > timestamps[:-shift])
         shift += 1
     return int(counts.max(initial=0))
 
@@ -116,8 +116,8 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
             by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
     slots = max((len(group) for group in by_arrival.values()), default=1)
     stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
-    noted = _snapshots_by_tick(samples, packet, ticks, error)
-    early, notes = sum(tick < 0 for tick in instants), max((len(each) for each in noted.values()), default=1) - 1
+    snapshots = _snapshots_by_tick(samples, packet, ticks, error)
+    early, notes = sum(tick < 0 for tick in instants), max(map(len, snapshots.values()), default=1) - 1
     out = at_no_tick(ticks, channels, slots, early, notes)
     for s in samples:
         if s.taken < 0:
@@ -125,13 +125,13 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
         elif s.taken <= ticks:
             out.sense[s.taken] = packet[s.taken]
             out.sample[s.taken, s.channel] = s.number
-    for tick, each in noted.items():
-        out.snapshot[tick], out.extra_snapshots[tick, : len(each) - 1] = each[0], each[1:]
+    for tick, packets in snapshots.items():
+        out.snapshot[tick], out.extra_snapshots[tick, : len(packets) - 1] = packets[0], packets[1:]
     last = 0
     for tick in sorted(by_arrival):
-        for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
-            out.arrive[tick, slot] = packet[taken]
-            out.timestamp[tick, slot] = stamps[taken]
+        for slot, (sampling_tick, group) in enumerate(sorted(by_arrival[tick].items())):
+            out.arrive[tick, slot] = packet[sampling_tick]
+            out.timestamp[tick, slot] = stamps[sampling_tick]
             out.ticks_since_arrival[tick, slot] = tick - last
             for s in group:
                 out.mask[tick, slot, s.channel] = True
@@ -173,12 +173,12 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
 
     All delays of a period share one cached table. A delay shifts its arrivals.
     """
-    n, late = ticks + 1, clock.period if clock.delay is None else clock.delay
+    n, delay = ticks + 1, clock.period if clock.delay is None else clock.delay
     prompt = _prompt(clock.period, clock.stride, clock.channels, ticks, channels)
-    rows = slice(n - min(late, n), 2 * n - min(late, n))
+    rows = slice(n - min(delay, n), 2 * n - min(delay, n))
     since = prompt.ticks_since_arrival[rows].copy()
-    if late <= ticks:
-        since[late, 0] = late
+    if delay <= ticks:
+        since[delay, 0] = delay
     out = prompt._replace(
         arrive=prompt.arrive[rows],
         timestamp=prompt.timestamp[rows],
@@ -188,50 +188,54 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
     )
-    return with_events(out), 1 + late // clock.period * (late <= ticks)
+    return with_events(out), 1 + delay // clock.period * (delay <= ticks)
 
 
 @lru_cache(16)
-def _prompt(period: int, stride: int, own: tuple[int, ...], ticks: int, channels: int) -> Schedule:
+def _prompt(period: int, stride: int, clock_channels: tuple[int, ...], ticks: int, channels: int) -> Schedule:
     """Return the schedule of a plain clock without a delay, its arrivals preceded by N + 1 empty rows, [2 (N + 1)]."""
-    n, q = ticks + 1, list(own)
-    taken = np.arange(0, n, period, dtype=np.int32)
-    packet, at = np.arange(len(taken), dtype=np.int32), n + taken
+    n, q = ticks + 1, list(clock_channels)
+    instants = np.arange(0, n, period, dtype=np.int32)
+    packet, at = np.arange(len(instants), dtype=np.int32), n + instants
     number = packet * np.int32(stride)
-    sent, out = at_no_tick(ticks, channels), at_no_tick(2 * n - 1, channels)
-    sent.sense[taken] = sent.snapshot[taken] = packet
-    sent.sample[taken[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.timestamp[at, 0], out.ticks_since_arrival[at, 0] = packet, taken, np.diff(taken, prepend=0)
+    sampling, out = at_no_tick(ticks, channels), at_no_tick(2 * n - 1, channels)
+    sampling.sense[instants] = sampling.snapshot[instants] = packet
+    sampling.sample[instants[:, None], q] = number[:, None]
+    out.arrive[at, 0], out.timestamp[at, 0], out.ticks_since_arrival[at, 0] = (
+        packet,
+        instants,
+        np.diff(instants, prepend=0),
+    )
     out.mask[at[:, None], 0, q] = True
     out.number[at[:, None], 0, q] = number[:, None]
-    both = out._replace(
-        sense=sent.sense,
-        sample=sent.sample,
-        snapshot=sent.snapshot,
-        early=sent.early,
-        extra_snapshots=sent.extra_snapshots,
+    result = out._replace(
+        sense=sampling.sense,
+        sample=sampling.sample,
+        snapshot=sampling.snapshot,
+        early=sampling.early,
+        extra_snapshots=sampling.extra_snapshots,
     )
-    for table in both:
+    for table in result:
         table.flags.writeable = False  # read-only: many schedules have views of it
-    return both
+    return result
 
 
 def at_every_tick(ticks: int, channels: int) -> Schedule:
     """Return the schedule of all channels at every tick without a delay: `schedule` of period 1 and delay 0, vectorized."""
     k = np.arange(ticks + 1, dtype=np.int32)
-    row, each = k[:, None], np.repeat(k[:, None], channels, 1)
+    row, numbers = k[:, None], np.repeat(k[:, None], channels, 1)
     return Schedule(
         sense=k,
-        sample=each,
+        sample=numbers,
         snapshot=k,
         arrive=row,
         timestamp=row,
         mask=np.ones((ticks + 1, 1, channels), bool),
-        number=each[:, None],
+        number=numbers[:, None],
         ticks_since_arrival=np.minimum(row, 1),
         event=np.ones(ticks + 1, bool),
         next_event=k + np.int32(1),
-        early=each[:0],
+        early=numbers[:0],
         extra_snapshots=np.zeros((ticks + 1, 0), np.int32),
     )
 
@@ -242,13 +246,13 @@ def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int
     for s in samples:
         if s.taken <= ticks and 0 <= s.taken - error + s.ahead <= ticks:
             out.setdefault(s.taken - error + s.ahead, set()).add(packet[s.taken])
-    return {tick: sorted(each) for tick, each in out.items()}
+    return {tick: sorted(packets) for tick, packets in out.items()}
 
 
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Return the schedule of channels j sampled every period[j] ticks from tick 0 on, each delayed by delay[j] ticks."""
-    each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
-    return schedule(samples(each, ticks), ticks, len(period))
+    clocks = [Clock((j,), every, lag) for j, (every, lag) in enumerate(zip(period, delay, strict=True))]
+    return schedule(samples(clocks, ticks), ticks, len(period))
 
 
 def oldest(found: list[Sample], overtaking: int) -> int:
@@ -257,36 +261,36 @@ def oldest(found: list[Sample], overtaking: int) -> int:
     For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
     K = `overtaking`. The result is the maximum over i.
     """
-    each = np.array(
+    times = np.array(
         sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in found if s.arrives < NEVER}), int
     ).reshape(-1, 2)
-    taken, arrives = each.T
+    timestamps, arrives = times.T
     back = 2 * overtaking + 1
-    before = np.concatenate([np.zeros(back, int), taken])[: len(taken)]
-    return int((np.maximum.accumulate(arrives) - before).max(initial=0))
+    previous = np.concatenate([np.zeros(back, int), timestamps])[: len(timestamps)]
+    return int((np.maximum.accumulate(arrives) - previous).max(initial=0))
 
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must hold so that none is overwritten before it arrives."""
-    noted = np.concatenate([plan.snapshot[:, None], plan.extra_snapshots], 1)
-    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
-    waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
-    return max([int(waiting.max()), *(newer - number + 1 for newer, number in _written_over(plan, noted))])
+    snapshots = np.concatenate([plan.snapshot[:, None], plan.extra_snapshots], 1)
+    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, snapshots.max(1))), len(plan.early) - 1)
+    counts = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
+    return max([int(counts.max()), *(newer - number + 1 for newer, number in _written_over(plan, snapshots))])
 
 
-def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
+def _written_over(plan: Schedule, snapshots: Ints) -> Iterator[tuple[int, int]]:
     """Yield (newest packet not yet arrived, older packet) whenever a snapshot of the older packet is taken later."""
-    newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
-    older = (noted >= 0) & (noted < newest)
+    newest = np.append(-1, np.maximum.accumulate(snapshots.max(1))[:-1])[:, None]
+    older = (snapshots >= 0) & (snapshots < newest)
     if not older.any():
         return
     first, last = (np.full(len(plan.sense) + len(plan.early), fill) for fill in (NEVER, -1))
     np.maximum.at(last, plan.arrive[plan.arrive >= 0], np.nonzero(plan.arrive >= 0)[0])
-    np.minimum.at(first, noted[noted >= 0], np.nonzero(noted >= 0)[0])
-    for k, number in zip(np.nonzero(older)[0], noted[older], strict=True):
-        kept = np.flatnonzero((first < k) & (last >= k))
-        if kept.size and kept[-1] > number:
-            yield int(kept[-1]), int(number)
+    np.minimum.at(first, snapshots[snapshots >= 0], np.nonzero(snapshots >= 0)[0])
+    for k, number in zip(np.nonzero(older)[0], snapshots[older], strict=True):
+        pending = np.flatnonzero((first < k) & (last >= k))
+        if pending.size and pending[-1] > number:
+            yield int(pending[-1]), int(number)
 
 
 def pad_early(plan: Schedule, packets: int) -> Schedule:
@@ -296,25 +300,25 @@ def pad_early(plan: Schedule, packets: int) -> Schedule:
     return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
 
 
-def pad_notes(plan: Schedule, many: int) -> Schedule:
+def pad_notes(plan: Schedule, count: int) -> Schedule:
     """Pad the snapshots of each tick, so that schedules of one study have one shape."""
-    if many == plan.extra_snapshots.shape[1]:
+    if count == plan.extra_snapshots.shape[1]:
         return plan
     return plan._replace(
         extra_snapshots=np.pad(
-            plan.extra_snapshots, [(0, 0), (0, many - plan.extra_snapshots.shape[1])], constant_values=-1
+            plan.extra_snapshots, [(0, 0), (0, count - plan.extra_snapshots.shape[1])], constant_values=-1
         )
     )
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:
     """Pad with empty arrival slots, so that schedules of one study have one shape."""
-    more = slots - plan.arrive.shape[1]
-    if not more:
+    extra = slots - plan.arrive.shape[1]
+    if not extra:
         return plan
 
     def wider(x: NDArray, fill: int) -> NDArray:
-        return np.pad(x, [(0, 0), (0, more)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)
+        return np.pad(x, [(0, 0), (0, extra)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)
 
     return plan._replace(
         arrive=wider(plan.arrive, -1),

@@ -22,7 +22,7 @@ class EventTable(NamedTuple):
     number: Array  # [C, E, L] sample number of each clock in the packet; -1: none
     timestamp: Array  # [E, L] assumed sampling tick of a packet, possibly before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
-    which: Array  # [E, L] the row of the packet that arrives
+    packet: Array  # [E, L] the row of the packet that arrives
     brings: Array  # [C, E, L] whether the arrival contains each clock's sample
     slot: Array  # [E, L] number of earlier arrivals at the same tick
     ticks_since_arrival: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
@@ -30,33 +30,33 @@ class EventTable(NamedTuple):
 
 def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     """Return the events of every run in order of time; at one tick the older packet arrives first."""
-    each = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
-    taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
-    clock = jnp.concatenate([jnp.full_like(own, c) for c, (own, _) in enumerate(each)])
-    number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
+    by_clock = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
+    taken, arrives = (jnp.concatenate(part) for part in zip(*by_clock, strict=True))
+    clock = jnp.concatenate([jnp.full_like(ticks, c) for c, (ticks, _) in enumerate(by_clock)])
+    number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(ticks))[:, None], ticks.shape) for ticks, _ in by_clock])
     order = jnp.argsort(taken, axis=0, stable=True)
     taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
     timestamp, packet = random_times.timestamp(t, root_seed, seeds, taken), _first(_repeats(taken))
-    numbers = _by_clock(len(each), -1, clock, packet, number)
+    numbers = _by_clock(len(by_clock), -1, clock, packet, number)
     taken, timestamp = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, timestamp))
 
     order = jnp.argsort(arrives, axis=0, stable=True)
     arrives, packet, clock = (jnp.take_along_axis(a, order, 0) for a in (arrives, packet, clock))
-    again = _repeats(arrives)
-    arrival = _first(again & _repeats(packet))
-    mine = arrival == _rows(arrival)
-    count = jnp.cumsum(mine, 0) - 1
-    slot = count - jnp.take_along_axis(count, _first(again), 0)
-    earlier = jnp.take_along_axis(arrives, jnp.maximum(_first(again) - 1, 0), 0)
+    repeats = _repeats(arrives)
+    arrival = _first(repeats & _repeats(packet))
+    is_first = arrival == _rows(arrival)
+    count = jnp.cumsum(is_first, 0) - 1
+    slot = count - jnp.take_along_axis(count, _first(repeats), 0)
+    previous = jnp.take_along_axis(arrives, jnp.maximum(_first(repeats) - 1, 0), 0)
     return EventTable(
         taken=taken,
         number=numbers,
         timestamp=timestamp,
-        arrives=jnp.where(mine, arrives, NEVER),
-        which=packet,
-        brings=_by_clock(len(each), False, clock, arrival, True),
+        arrives=jnp.where(is_first, arrives, NEVER),
+        packet=packet,
+        brings=_by_clock(len(by_clock), False, clock, arrival, True),
         slot=slot,
-        ticks_since_arrival=arrives - jnp.where(_first(again) > 0, earlier, 0),
+        ticks_since_arrival=arrives - jnp.where(_first(repeats) > 0, previous, 0),
     )
 
 

@@ -58,12 +58,12 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
     """Return the parameters of clocks for a number of ticks."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
-    drawn, chains, shares = (any(map(attrgetter(name), clocks)) for name in ("steps", "stay", "share"))
+    has_steps, has_chain, has_share = (any(map(attrgetter(name), clocks)) for name in ("steps", "stay", "share"))
     limits = [sampling.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
     for row, clock in zip(due, clocks, strict=True):
         instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
-    many = [len(c.steps) or int(drawn) for c in clocks]
+    counts = [len(c.steps) or int(has_steps) for c in clocks]
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return ClockParams(
         due=due,
@@ -72,10 +72,10 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
         delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
         jitter=np.array([c.jitter for c in clocks]),
         spread=np.array([c.spread for c in clocks]),
-        steps=_rows([c.steps or (0,) * drawn for c in clocks], max(many), "edge").astype(int),
-        many=np.array(many),
-        stay=_rows([c.stay or (0.0,) for c in clocks], max(many) * chains),
-        share=np.cumsum(_rows([c.share or (float(not c.stay),) for c in clocks], max(many) * shares), 1),
+        steps=_rows([c.steps or (0,) * has_steps for c in clocks], max(counts), "edge").astype(int),
+        many=np.array(counts),
+        stay=_rows([c.stay or (0.0,) for c in clocks], max(counts) * has_chain),
+        share=np.cumsum(_rows([c.share or (float(not c.stay),) for c in clocks], max(counts) * has_share), 1),
         loss=np.array([c.loss for c in clocks], float),
         bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
         outages=np.array([c.outage if any(any(c.outage) for c in clocks) else () for c in clocks], int),
@@ -114,22 +114,22 @@ def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
 def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
     """Return the sampling tick and the arrival tick (NEVER: lost) of every sample of clock c, [M, L] each."""
     count = t.due.shape[1]
-    timing, losing = (
+    timing, uniform = (
         rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
     )
     step = t.low[c] + _integers_below(timing[:, 0], t.high[c] - t.low[c] + 1)
     random = jnp.cumsum(jnp.concatenate([jnp.full_like(step[:1], t.due[c, 0]), step[1:]]), 0)
     due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
-    moved = _integers_below(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
-    taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
-    late = _integers_below(timing[:, 2], t.spread[c] + 1)
+    shift = _integers_below(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
+    instants = due + jnp.where(jnp.arange(count)[:, None] > 0, shift, 0)
+    delay = _integers_below(timing[:, 2], t.spread[c] + 1)
     if t.steps.shape[1]:
-        late = late + t.steps[c][_which_step(t, c, root_seed, seeds)]
-    arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
-    lost = _lost(t, c, losing[:-1, 0])
+        delay = delay + t.steps[c][_which_step(t, c, root_seed, seeds)]
+    arrives = jnp.where(t.delay[c] < 0, instants[1:], instants[:-1] + t.delay[c]) + delay[:-1]
+    lost = _lost(t, c, uniform[:-1, 0])
     if t.outages.shape[1]:
-        lost |= (taken[:-1] >= t.outages[c, 0]) & (taken[:-1] < t.outages[c, 1])
-    return taken[:-1], jnp.where(lost, NEVER, jnp.minimum(arrives, NEVER))
+        lost |= (instants[:-1] >= t.outages[c, 0]) & (instants[:-1] < t.outages[c, 1])
+    return instants[:-1], jnp.where(lost, NEVER, jnp.minimum(arrives, NEVER))
 
 
 def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
@@ -138,11 +138,11 @@ def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
     if not t.bursts.shape[1]:
         return first
 
-    def following(lost: Array, u: Array) -> tuple[Array, Array]:
-        after = u < jnp.where(lost, t.bursts[c, 1], t.bursts[c, 0])
-        return after, after
+    def step(was_lost: Array, u: Array) -> tuple[Array, Array]:
+        is_lost = u < jnp.where(was_lost, t.bursts[c, 1], t.bursts[c, 0])
+        return is_lost, is_lost
 
-    return jnp.concatenate([first[:1], lax.scan(following, first[0], uniform[1:])[1]])
+    return jnp.concatenate([first[:1], lax.scan(step, first[0], uniform[1:])[1]])
 
 
 def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
@@ -150,38 +150,38 @@ def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array
     uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
     if not t.share.shape[1]:
         return _chain(t, c, uniform)
-    alone = jnp.searchsorted(t.share[c][:-1], uniform, side="right")
-    return jnp.where(t.share[c][-1] > 0, alone, _chain(t, c, uniform)) if t.stay.shape[1] else alone
+    independent = jnp.searchsorted(t.share[c][:-1], uniform, side="right")
+    return jnp.where(t.share[c][-1] > 0, independent, _chain(t, c, uniform)) if t.stay.shape[1] else independent
 
 
 def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return the states of a Markov chain driven by uniform numbers, [M+1, L]."""
-    many, stay = t.many[c], t.stay[c]
-    weights = jnp.where(jnp.arange(len(stay)) < many, 1 / (1 - stay), 0.0)
+    m, stay = t.many[c], t.stay[c]
+    weights = jnp.where(jnp.arange(len(stay)) < m, 1 / (1 - stay), 0.0)
     ends = jnp.cumsum(weights / jnp.sum(weights))
-    first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
+    first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), m - 1)
 
-    def following(now: Array, u: Array) -> tuple[Array, Array]:
-        left = (u - stay[now]) / (1 - stay[now])  # given that the chain leaves its state, uniform on [0, 1)
-        other = (now + 1 + jnp.clip(_integers_below(left, many - 1), 0, jnp.maximum(many - 2, 0))) % many
-        after = jnp.where(u < stay[now], now, other)
-        return after, after
+    def step(state: Array, u: Array) -> tuple[Array, Array]:
+        v = (u - stay[state]) / (1 - stay[state])  # given that the chain leaves its state, uniform on [0, 1)
+        target = (state + 1 + jnp.clip(_integers_below(v, m - 1), 0, jnp.maximum(m - 2, 0))) % m
+        new = jnp.where(u < stay[state], state, target)
+        return new, new
 
-    return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
+    return jnp.concatenate([first[None], lax.scan(step, first, uniform[1:])[1]])
 
 
-def timestamp(t: ClockParams, root_seed: Array, seeds: Array, taken: Array) -> Array:
-    """Return the assumed sampling ticks of samples taken at the ticks `taken`, [E, L]."""
+def timestamp(t: ClockParams, root_seed: Array, seeds: Array, instants: Array) -> Array:
+    """Return the assumed sampling ticks of samples taken at the ticks `instants`, [E, L]."""
     if not t.stamp:
-        return taken - t.error
+        return instants - t.error
     key = rng.run_keys(root_seed, seeds, "stamp", 1)
-    uniform = lax.map(lambda at: rng.uniforms_of(key, [at])[0], taken)
-    off = t.stamp.offset + jnp.round(t.stamp.drift * taken).astype(int)
-    return taken - t.error + off + _integers_below(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
+    uniform = lax.map(lambda tick: rng.uniforms_of(key, [tick])[0], instants)
+    offset = t.stamp.offset + jnp.round(t.stamp.drift * instants).astype(int)
+    return instants - t.error + offset + _integers_below(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
 
 
-def _integers_below(uniform: Array, many: Array) -> Array:
-    return jnp.floor(uniform * many).astype(int)
+def _integers_below(uniform: Array, n: Array) -> Array:
+    return jnp.floor(uniform * n).astype(int)
 
 
 def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
@@ -189,19 +189,19 @@ def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int,
     t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
-        run = jnp.asarray(root_seed), jnp.asarray([seed])
-        taken, arrives = clock_times(t, c, *run)
-        ahead = timestamp(t, *run, taken) - taken
-        each = enumerate(zip(*(a[:, 0].tolist() for a in (taken, arrives, ahead)), strict=True))
-        out += [Sample(j, i, *times) for i, times in each if times[0] <= ticks for j in clock.channels]
+        address = jnp.asarray(root_seed), jnp.asarray([seed])
+        instants, arrives = clock_times(t, c, *address)
+        offset = timestamp(t, *address, instants) - instants
+        samples = enumerate(zip(*(a[:, 0].tolist() for a in (instants, arrives, offset)), strict=True))
+        out += [Sample(j, i, *times) for i, times in samples if times[0] <= ticks for j in clock.channels]
     return out
 
 
 def room(clocks: Sequence[Clock], ticks: int, error: int) -> int:
     """Return an upper limit of the packets on the network at one time, for any draws."""
     back = 0
-    while (more := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
-        back = more  # a snapshot may be due for a sample taken this long after the last tick; timestamp errors grow
+    while (reach := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
+        back = reach  # a snapshot may be due for a sample taken this long after the last tick; timestamp errors grow
     longest = max(sampling.ages(c, ticks)[1] for c in clocks) + back
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
@@ -215,9 +215,9 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
     age = max(sampling.ages(c, ticks)[1] for c in clocks)
     interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
     loss = max(sampling.breaks(c)[1] for c in clocks)
-    lost = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
+    burst = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
     longest = max(c.outage[1] - c.outage[0] for c in clocks)
-    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + lost) * interval + longest
+    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + burst) * interval + longest
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:
@@ -225,13 +225,13 @@ def overtaking(clocks: list[Clock], ticks: int) -> int:
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
     wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
 
-    def ahead(own: int, other: int) -> int:
-        if own == other:  # one clock: its ages differ by at most latest - earliest
-            apart = clocks[own].latest - clocks[own].earliest
-            return max(apart - 1, 0) // least[own]
-        span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1 + wrong
-        return span // least[other] + 1 if span >= 1 else 0
+    def newer(i: int, j: int) -> int:
+        if i == j:  # one clock: its ages differ by at most latest - earliest
+            spread = clocks[i].latest - clocks[i].earliest
+            return max(spread - 1, 0) // least[i]
+        span = sampling.ages(clocks[i], ticks)[1] - sampling.ages(clocks[j], ticks)[0] - 1 + wrong
+        return span // least[j] + 1 if span >= 1 else 0
 
-    many = range(len(clocks))
-    others = max(sum(_most(c, ticks) for c in clocks) - 1, 0)
-    return min(max(sum(ahead(own, other) for other in many) for own in many), others)
+    indices = range(len(clocks))
+    most = max(sum(_most(c, ticks) for c in clocks) - 1, 0)
+    return min(max(sum(newer(i, j) for j in indices) for i in indices), most)

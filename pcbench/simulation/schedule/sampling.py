@@ -172,14 +172,14 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
 
 def age(clock: Clock, arrives: int) -> int:
     """Return the age, in whole ticks, of the sample that arrives at a tick, if the delay varies with time."""
-    swing, pace = clock.swing
-    return round((clock.delay or 0) + swing * np.sin(pace * arrives))
+    amplitude, rate = clock.swing
+    return round((clock.delay or 0) + amplitude * np.sin(rate * arrives))
 
 
 def ages(clock: Clock, ticks: int) -> tuple[int, int]:
     """Return the smallest and the largest age of a sample at its arrival."""
     if any(clock.swing):
-        found = sorted(age(clock, arrives) for arrives in instants(clock, max(ticks, clock.phase))[:-1])
+        values = sorted(age(clock, arrives) for arrives in instants(clock, max(ticks, clock.phase))[:-1])
     else:
-        found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
-    return found[0] + clock.earliest, found[-1] + clock.latest
+        values = intervals(clock, ticks) if clock.delay is None else [clock.delay]
+    return values[0] + clock.earliest, values[-1] + clock.latest
