@@ -47,10 +47,10 @@ def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
     width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
     return [
-        lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
-        if moved.size
-        else jnp.zeros(moved.shape, v.aval.dtype)  # an empty result cannot differ between lanes
-        for moved, v in zip(
+        lanes_of(sources.shape, [jnp.broadcast_to(entries[p], width) for p in sources.flat])
+        if sources.size
+        else jnp.zeros(sources.shape, v.aval.dtype)  # an empty result cannot differ between lanes
+        for sources, v in zip(
             places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(shapes)), eqn.outvars, strict=True
         )
     ]
@@ -66,15 +66,15 @@ def places(
         numbers = [
             jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
         ]
-        found = primitive.bind(*numbers, **dict(params))
-    return [np.asarray(each) for each in (found if primitive.multiple_results else [found])]
+        results = primitive.bind(*numbers, **dict(params))
+    return [np.asarray(result) for result in (results if primitive.multiple_results else [results])]
 
 
 def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Reduce numbers over axes."""
     parts, axes = args[0].parts, jaxpr_compat.fold_axes(eqn.params)
-    rest = tuple(i for i in range(parts.ndim) if i not in axes)
-    flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
+    free = tuple(i for i in range(parts.ndim) if i not in axes)
+    flat = parts.transpose(*free, *axes).reshape(*(parts.shape[i] for i in free), -1)
     shape = flat.shape[:-1]
     return lanes_of(shape, [reduce(FOLDS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
 
@@ -87,14 +87,14 @@ def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     inner = int(np.prod([shapes[0][i] for i in ca]))
     lhs, rhs = (entries_of(a, s) for a, s in zip(args, shapes, strict=True))
 
-    def arranged(p: np.ndarray, batch: PyTree, contract: PyTree) -> np.ndarray:  # -> [batch, free, contract], flattened
+    def to_matrices(p: np.ndarray, batch: PyTree, contract: PyTree) -> np.ndarray:  # [batch, free, contract], flattened
         free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
         sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
         return p.transpose(*batch, *free, *contract).reshape(sizes)
 
-    a, b = arranged(lhs, ba, ca), arranged(rhs, bb, cb)
+    a, b = to_matrices(lhs, ba, ca), to_matrices(rhs, bb, cb)
     sums = [
-        reduce(partial(_both, lax.add), (_both(kernels.product, a[k, i, c], b[k, j, c]) for c in range(inner)))
+        reduce(partial(_pairwise, lax.add), (_pairwise(kernels.product, a[k, i, c], b[k, j, c]) for c in range(inner)))
         for k in range(a.shape[0])
         for i in range(a.shape[1])
         for j in range(b.shape[1])
@@ -102,7 +102,7 @@ def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     return lanes_of(out, sums)
 
 
-def _both(apply: Any, a: PyTree, b: PyTree) -> PyTree:
+def _pairwise(apply: Any, a: PyTree, b: PyTree) -> PyTree:
     """Apply a primitive to two entries, of which one may be common to all lanes."""
     width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
     return apply(jnp.broadcast_to(a, width), jnp.broadcast_to(b, width))
@@ -110,12 +110,12 @@ def _both(apply: Any, a: PyTree, b: PyTree) -> PyTree:
 
 def rows_of_table(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Gather whole rows from a table common to all lanes, each lane its own rows, in one gather."""
-    table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
+    table, index = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
-    each = columns.at[:, jnp.stack(list(own.flat))]
-    found = each.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is no last row
+    gather = columns.at[:, jnp.stack(list(index.flat))]
+    rows = gather.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is no last row
     shape = eqn.outvars[0].aval.shape
-    return lanes_of(shape, [found[e, r] for r in range(own.size) for e in range(columns.shape[0])])
+    return lanes_of(shape, [rows[e, r] for r in range(index.size) for e in range(columns.shape[0])])
 
 
 def takes_rows(eqn: Eqn, args: list[PyTree]) -> bool:

@@ -35,14 +35,14 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
     one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
-    def put(rings: PyTree, packet: tuple[Array, Array]) -> tuple[PyTree, None]:
+    def write(rings: PyTree, packet: tuple[Array, Array]) -> tuple[PyTree, None]:
         place, numbers = packet
-        drawn = lane_array.split(noise(channels, numbers))
-        y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, drawn), one, layout.width)
+        draws = lane_array.split(noise(channels, numbers))
+        y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, draws), one, layout.width)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
 
-    if early := p.schedule.early.shape[0]:
-        values, _ = lax.scan(put, values, (jnp.arange(early), p.schedule.early))
+    if count := p.schedule.early.shape[0]:
+        values, _ = lax.scan(write, values, (jnp.arange(count), p.schedule.early))
     return state._replace(flight=Packet(values, notes))
 
 
@@ -54,7 +54,7 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     """
     plan, channels = p.schedule, list(range(p.noise_std.shape[0]))
 
-    def put(rings: PyTree, number: Array, make: Any) -> PyTree:
+    def write(rings: PyTree, number: Array, make: Any) -> PyTree:
         last = jax.tree.map(lambda ring: ring[layout.ring], rings)
         new = lax.cond(number >= 0, lambda: lane_array.match_form(make(), last, layout.width), lambda: last)
         place = jnp.where(number >= 0, number % layout.ring, layout.ring)
@@ -63,15 +63,15 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     def sense() -> PerLane:
         return measure(layout, p, k, state, lane_array.split(noise(channels, plan.sample[k])))
 
-    def noted() -> Notes:
+    def take_snapshots() -> Notes:
         return snapshot(layout, p, k, state)
 
     values, notes = state.flight
-    flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.snapshot[k], noted))
-    for more in range(plan.extra_snapshots.shape[1]):
-        flight = flight._replace(notes=put(flight.notes, plan.extra_snapshots[k, more], noted))
+    flight = Packet(write(values, plan.sense[k], sense), write(notes, plan.snapshot[k], take_snapshots))
+    for i in range(plan.extra_snapshots.shape[1]):
+        flight = flight._replace(notes=write(flight.notes, plan.extra_snapshots[k, i], take_snapshots))
 
-    def tell() -> PyTree:
+    def notify_observers() -> PyTree:
         return lane_array.match_form(
             notify_sampled(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width
         )
@@ -82,13 +82,13 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
         mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.timestamp[k, slot])
         row = ArrivalInfo(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
 
-        def jumped(memories: PyTree) -> PyTree:
-            after = jump(layout, p, k, state._replace(memories=memories), row, packet)
-            return lane_array.match_form(after, memories, layout.width)
+        def use_packet(memories: PyTree) -> PyTree:
+            new = jump(layout, p, k, state._replace(memories=memories), row, packet)
+            return lane_array.match_form(new, memories, layout.width)
 
-        return lax.cond(number >= 0, jumped, lambda memories: memories, memories)
+        return lax.cond(number >= 0, use_packet, lambda memories: memories, memories)
 
     if any_is_notified(layout):
-        state = state._replace(memories=lax.cond(plan.sense[k] >= 0, tell, lambda: state.memories))
+        state = state._replace(memories=lax.cond(plan.sense[k] >= 0, notify_observers, lambda: state.memories))
     memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)

@@ -25,11 +25,10 @@ class Events(NamedTuple):
     """The functions that apply events, and the packing of memories between them."""
 
     happen: steps.Happen
-    following: Callable[[Array, State], Array]  # (tick, state after its events) -> tick of the next event
-    whole: Callable[[PyTree], Memories] = lambda kept: kept  # packed -> the observers' memories
-    moved: Callable[[Memories, PyTree], PyTree] = lambda after, kept: (
-        after
-    )  # (after a flow, packed before it) -> packed
+    next_event: Callable[[Array, State], Array]  # (tick, state after its events) -> tick of the next event
+    unpack: Callable[[PyTree], Memories] = lambda memories: memories  # packed -> the observers' memories
+    # (after a flow, packed before it) -> packed
+    repack: Callable[[Memories, PyTree], PyTree] = lambda memories, packed: memories
 
 
 def simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> RunSums:
@@ -42,17 +41,17 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
     layout = innovation_stats.add_innovation_stats(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
-    end, drawn = p.windows[-1, 0], tick_sampler(layout, p, root_seed, seeds)
+    end, sample = p.windows[-1, 0], tick_sampler(layout, p, root_seed, seeds)
 
     def tick(k: Array, state: State) -> State:
-        full = state._replace(memories=events.whole(state.memories))
-        new = lane_array.match_form(steps.tick(layout, p, k, full, drawn(k)), full, layout.width)
-        return new._replace(memories=events.moved(new.memories, state.memories))
+        full = state._replace(memories=events.unpack(state.memories))
+        new = lane_array.match_form(steps.tick(layout, p, k, full, sample(k)), full, layout.width)
+        return new._replace(memories=events.repack(new.memories, state.memories))
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window edge without an event changes nothing
-        following = events.following(k, state)
-        stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick has events but no flow
+        next_event = events.next_event(k, state)
+        stop = jnp.minimum(jnp.minimum(next_event, edge), end)  # the last tick has events but no flow
         state = lax.fori_loop(k, stop, tick, state)  # one tick per body: two would draw the noise twice
         return jnp.where(k < end, stop, k + 1), state
 
@@ -61,33 +60,26 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
         return state._replace(**empty), (state.streams, state.tracking, state.effort)
 
     state, sums = lax.scan(window, state, p.windows)
-    state = state._replace(memories=events.whole(state.memories))
+    state = state._replace(memories=events.unpack(state.memories))
     last = steps.score(layout, p, end, state)  # the last tick only needs its error
     if isinstance(p.weights, Weights):  # and its command if the input is summed
-        last = steps.control(layout, p, end, last, drawn(end).command)
+        last = steps.control(layout, p, end, last, sample(end).command)
     errors = steps.errors(layout, p, end, state)
     squares = steps.squares(layout, p, end, state, errors) if layout.consistency else ()
-    kept = last.streams, last.tracking, last.effort
-    left = kept, last.watches, errors, squares, steps.actual(layout, p, end, state)
-    sums, left = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, left), is_leaf=lane_array.is_lanes)
-    streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
-    return RunSums(
-        streams=streams,
-        watches=left[1],
-        final=left[2],
-        tracking=tracking,
-        effort=effort,
-        consistency=left[3],
-        actual=left[4],
-    )
+    truth = steps.actual(layout, p, end, state)
+    out = RunSums(last.streams, last.watches, errors, last.tracking, last.effort, squares, truth)
+    sums, out = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, out), is_leaf=lane_array.is_lanes)
+    last_sums = out.streams, out.tracking, out.effort
+    streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, last_sums)
+    return out._replace(streams=streams, tracking=tracking, effort=effort)
 
 
 def _events(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, on a common schedule or random ones, and the state before tick 0."""
     if isinstance(p.schedule, ClockParams):
-        each, state = random_schedules.prepare(layout, p, root_seed, seeds)
-        form = each.form
-        return Events(each.happen, each.following, form.whole, form.moved), state
+        events, state = random_schedules.prepare(layout, p, root_seed, seeds)
+        packing = events.memory_packing
+        return Events(events.happen, events.next_event, packing.unpack, packing.repack), state
     happen, state = common_schedule.prepare(layout, p, root_seed, seeds)
     plan = p.schedule
     return Events(happen, lambda k, state: plan.next_event[k]), state

@@ -22,12 +22,12 @@ def tick_sampler(
 ) -> Callable[[Array], steps.TickNoise]:
     """Return a function of the tick that draws process noise, a standard normal per state, and the network's random numbers."""
     keys = rng.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
-    sent = command_network.command_sampler(p.network, root_seed, seeds) if layout.pending else lambda k: ()
+    command = command_network.command_sampler(p.network, root_seed, seeds) if layout.pending else lambda k: ()
 
     def process(k: Array) -> PerLane:
         return lane_array.split(rng.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
-    return lambda k: steps.TickNoise(process(k), jax.tree.map(lane_array.split, sent(k)))
+    return lambda k: steps.TickNoise(process(k), jax.tree.map(lane_array.split, command(k)))
 
 
 def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:
@@ -50,10 +50,10 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
         law=loop.law,
         effort=loop.effort,
     )
-    size = {label: found.shape[0] + layout.plant.scored for label, found in steps.estimates(layout, p, state).items()}
+    size = {label: xhat.shape[0] + layout.plant.scored for label, xhat in steps.estimates(layout, p, state).items()}
     state = state._replace(
         flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
-        streams={label: metrics.start(many) for label, many in size.items()},
+        streams={label: metrics.start(n) for label, n in size.items()},
         watches=simulate_runs.start_watches(layout, size),
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
@@ -95,50 +95,51 @@ def first_estimate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: 
 def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> PyTree:
     """Return the observers' memories at xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
-    begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
-    drawing = [(label, o.init_random) for label, o in layout.observers if o.init_random]
-    if not drawing:
-        return begun
+    start = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
+    samplers = [(label, o.init_random) for label, o in layout.observers if o.init_random]
+    if not samplers:
+        return start
     words = lane_array.split(rng.words(root_seed, seeds))
 
-    def own(memories: PyTree, words: Array, xhat0: Array) -> PyTree:
+    def init_from_words(memories: PyTree, words: Array, xhat0: Array) -> PyTree:
         return memories | {
-            label: init_random(p.gains[label], memories[label], words, xhat0) for label, init_random in drawing
+            label: init_random(p.gains[label], memories[label], words, xhat0) for label, init_random in samplers
         }
 
-    return vmap_entrywise(own)(begun, words, xhat0)
+    return vmap_entrywise(init_from_words)(start, words, xhat0)
 
 
-def _spread(layout: Layout, p: GridPointParams, state: State, drawn: steps.TickNoise) -> State:
+def _spread(layout: Layout, p: GridPointParams, state: State, tick_noise: steps.TickNoise) -> State:
     """Broadcast every value that a tick with sample, snapshot and jump makes different between lanes, to a fixed point."""
     q, k, width, random = p.noise_std.shape[0], jnp.asarray(0), layout.width, isinstance(p.schedule, ClockParams)
     row: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
-    here: PyTree = jnp.asarray(True)  # whether a lane has an arrival
-    row, here = jax.tree.map(lambda a: lane_array.broadcast(a, width), (row, here)) if random else (row, here)
+    has_arrival: PyTree = jnp.asarray(True)  # whether a lane has an arrival
+    if random:
+        row, has_arrival = jax.tree.map(lambda a: lane_array.broadcast(a, width), (row, has_arrival))
 
-    def events(state: State, noise: PerLane, row: ArrivalInfo, here: Array) -> State:
+    def events(state: State, noise: PerLane, row: ArrivalInfo, has_arrival: Array) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.snapshot(layout, p, k, state))
-        before = state.memories
+        old = state.memories
         if steps.any_is_notified(layout):
             state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.mask))
-        after = steps.jump(layout, p, k, state, row, packet)
-        memories = jax.tree.map(lambda a, b: a if a is b or not a.size else jnp.where(here, a, b), after, before)
+        new = steps.jump(layout, p, k, state, row, packet)
+        memories = jax.tree.map(lambda a, b: a if a is b or not a.size else jnp.where(has_arrival, a, b), new, old)
         return state._replace(memories=memories, flight=packet)
 
     noise = lane_array.split(jnp.zeros((q, width)))
-    happen, given, _ = lane_forms.trace_lane(events, state, noise, row, here)
-    tick, and_drawn, _ = lane_forms.trace_lane(partial(steps.tick, layout, p, k), state, drawn)
+    happen, event_forms, _ = lane_forms.trace_lane(events, state, noise, row, has_arrival)
+    tick, tick_forms, _ = lane_forms.trace_lane(partial(steps.tick, layout, p, k), state, tick_noise)
     leaves, tree = jax.tree.flatten(state, is_leaf=lane_array.is_lanes)
-    many = len(leaves)
+    n_leaves = len(leaves)
 
-    def moved(forms: lane_forms.Forms) -> lane_forms.Forms:
-        forms = lane_forms.forms_of(happen, [*forms, *given[many:]])
-        return lane_forms.forms_of(tick, [*forms, *and_drawn[many:]])
+    def step(forms: lane_forms.Forms) -> lane_forms.Forms:
+        forms = lane_forms.forms_of(happen, [*forms, *event_forms[n_leaves:]])
+        return lane_forms.forms_of(tick, [*forms, *tick_forms[n_leaves:]])
 
-    forms = lane_forms.spread(moved, given[:many])
+    forms = lane_forms.spread(step, event_forms[:n_leaves])
     long = [
         len(x.shape) > 0 and x.shape[0] >= lane_forms.MANY for x in leaves
     ]  # leaves stored as tables with their rows together
-    forms = [lane_array.TABLE if form and many else form for form, many in zip(forms, long, strict=True)]
+    forms = [lane_array.TABLE if form and is_long else form for form, is_long in zip(forms, long, strict=True)]
     wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
     return jax.tree.unflatten(tree, wide)

@@ -36,12 +36,12 @@ from pcbench.protocols import TOGETHER
 def vmap_entrywise(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Return `f` for arguments with LaneArrays in their pytrees; results that depend on one are LaneArrays."""
 
-    def mapped(*args: PyTree) -> PyTree:
+    def apply(*args: PyTree) -> PyTree:
         flat = jax.tree.leaves(args, is_leaf=is_lanes)
-        closed, _, shape = lane_forms.trace_lane(f, *args)
-        return jax.tree.unflatten(jax.tree.structure(shape), _evaluate(closed.jaxpr, closed.consts, flat))
+        program, _, shape = lane_forms.trace_lane(f, *args)
+        return jax.tree.unflatten(jax.tree.structure(shape), _evaluate(program.jaxpr, program.consts, flat))
 
-    return mapped
+    return apply
 
 
 def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[PyTree]:
@@ -59,13 +59,13 @@ def _evaluate(jaxpr: Jaxpr, consts: list[PyTree], args: list[PyTree]) -> list[Py
 def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     name, forms = eqn.primitive.name, list(map(form_of, args))
     if name in CALLS:
-        closed = jaxpr_compat.callee(eqn.params)
-        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER and any(forms)
-        return _apply_vmap(closed, args) if together else _evaluate(closed.jaxpr, closed.consts, args)
+        program = jaxpr_compat.callee(eqn.params)
+        as_unit = jaxpr_compat.callee_name(eqn.params) == TOGETHER and any(forms)
+        return _apply_vmap(program, args) if as_unit else _evaluate(program.jaxpr, program.consts, args)
     if name == "scan" and jaxpr_compat.scan(eqn.params).length:
         return _scan(eqn, args)
-    if name == "while" and (found := _while(eqn, args)) is not None:
-        return found
+    if name == "while" and (results := _while(eqn, args)) is not None:
+        return results
     if not any(forms):
         return _apply_to_arrays(jaxpr, eqn, args)
     if lane_forms.is_one_row(eqn, forms):
@@ -80,15 +80,15 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     return _fallback(jaxpr, eqn, args)
 
 
-def _apply_vmap(closed: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
+def _apply_vmap(program: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
     """Apply a function as one unit by vmap; results common to all lanes stay so, long ones become tables."""
-    differs = lane_forms.forms_of(closed, list(map(form_of, args)))
+    differs = lane_forms.forms_of(program, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
     apply = jax.vmap(
-        lambda *a: _evaluate(closed.jaxpr, closed.consts, list(a)), axes, [-1 if d else None for d in differs]
+        lambda *a: _evaluate(program.jaxpr, program.consts, list(a)), axes, [-1 if d else None for d in differs]
     )
-    found = apply(*(join(a) if is_lanes(a) else a for a in args))
-    return [_split_table(x) if d else x for x, d in zip(found, differs, strict=True)]
+    results = apply(*(join(a) if is_lanes(a) else a for a in args))
+    return [_split_table(x) if d else x for x, d in zip(results, differs, strict=True)]
 
 
 def _split_table(x: jax.Array) -> PyTree:
@@ -112,7 +112,7 @@ def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
         return _to_forms(out[:carry], forms, width), [entries(a) for a in out[carry:]]
 
     start = _to_forms(args[consts : consts + carry], forms, width)
-    end, out = jax.lax.scan(step, start, rows, **scan.how)
+    end, out = jax.lax.scan(step, start, rows, **scan.options)
     return [*end, *(LaneArray(a.parts, scan.length) if is_lanes(a) else a for a in out)]
 
 
@@ -120,18 +120,18 @@ def _while(eqn: Eqn, args: list[PyTree]) -> list[PyTree] | None:
     """Apply a while loop as one loop, entry by entry, if it ends for all lanes at once; else return None."""
     loop = jaxpr_compat.while_(eqn.params)
     first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
-    asked, given, state, width = args[:first], args[first:second], args[second:], _width(args)
+    cond_consts, body_consts, state, width = args[:first], args[first:second], args[second:], _width(args)
     forms = lane_forms.while_forms(loop, list(map(form_of, args)))
     if forms is None:
         return None
 
     def step(state: list[PyTree]) -> list[PyTree]:
-        return _to_forms(_evaluate(loop.body.jaxpr, loop.body.consts, [*given, *state]), forms, width)
+        return _to_forms(_evaluate(loop.body.jaxpr, loop.body.consts, [*body_consts, *state]), forms, width)
 
-    def goes_on(state: list[PyTree]) -> PyTree:
-        return _evaluate(loop.cond.jaxpr, loop.cond.consts, [*asked, *state])[0]
+    def condition(state: list[PyTree]) -> PyTree:
+        return _evaluate(loop.cond.jaxpr, loop.cond.consts, [*cond_consts, *state])[0]
 
-    return jax.lax.while_loop(goes_on, step, _to_forms(state, forms, width))
+    return jax.lax.while_loop(condition, step, _to_forms(state, forms, width))
 
 
 def _width(args: list[PyTree]) -> int:
@@ -151,33 +151,35 @@ def _write_row(args: list[PyTree]) -> LaneArray:
     new, row = entries(args[1]), args[2]
     width = _width(args[:2])
     old = to_form(args[0] if is_lanes(args[0]) else jnp.asarray(args[0]), TABLE, width)
-    each = batching_rules.entries_of(new, np.shape(new) if not is_lanes(new) else new.shape).flat
-    written = [
+    values = batching_rules.entries_of(new, np.shape(new) if not is_lanes(new) else new.shape).flat
+    rows = [
         jax.lax.dynamic_update_index_in_dim(a, jnp.broadcast_to(b, (width,)), row, 0)
-        for a, b in zip(old.parts.flat, each, strict=True)
+        for a, b in zip(old.parts.flat, values, strict=True)
     ]
-    return lanes_of(old.parts.shape, written, old.rows)
+    return lanes_of(old.parts.shape, rows, old.rows)
 
 
 def _fallback(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply any primitive by vmap over the joined arrays."""
     axes = [-1 if is_lanes(a) else None for a in args]
-    whole = [join(a) if is_lanes(a) else a for a in args]
+    arrays = [join(a) if is_lanes(a) else a for a in args]
     apply = jax.vmap(lambda *a: _apply(jaxpr, eqn, list(a)), axes, -1)
-    return [split(out) for out in apply(*whole)]
+    return [split(out) for out in apply(*arrays)]
 
 
 def _apply_to_arrays(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply any primitive to values common to all lanes."""
     if eqn.primitive.name in _RULES.keys() | STRUCTURAL:
-        found = kernels.function_of(eqn)(*args)
-        return list(found) if eqn.primitive.multiple_results else [found]
+        result = kernels.function_of(eqn)(*args)
+        return list(result) if eqn.primitive.multiple_results else [result]
     if eqn.primitive.name == "cond":
         branches = [partial(_evaluate, b.jaxpr, b.consts) for b in jaxpr_compat.branches(eqn.params)]
         return jax.lax.switch(args[0], [lambda *a, f=f: f(list(a)) for f in branches], *args[1:])
-    given = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
-    alone = jaxpr.replace(constvars=(), invars=list(given), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects)
-    return jaxpr_as_fun(ClosedJaxpr(alone, ()))(*given.values())
+    operands = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
+    one_equation = jaxpr.replace(
+        constvars=(), invars=list(operands), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects
+    )
+    return jaxpr_as_fun(ClosedJaxpr(one_equation, ()))(*operands.values())
 
 
 _RULES = (

@@ -48,7 +48,7 @@ class Scan(NamedTuple):
     consts: int
     carry: int
     length: int
-    how: EqnParams  # what jax.lax.scan takes besides
+    options: EqnParams  # what jax.lax.scan takes besides
 
 
 class While(NamedTuple):
@@ -67,8 +67,8 @@ def value(literal: Any) -> np.ndarray:
 
 def callee(params: EqnParams) -> ClosedJaxpr:
     """Return the closed program that one of CALLS applies."""
-    found = params.get("jaxpr") or params["call_jaxpr"]
-    return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
+    program = params.get("jaxpr") or params["call_jaxpr"]
+    return program if hasattr(program, "consts") else ClosedJaxpr(program, ())
 
 
 def callee_name(params: EqnParams) -> str:
@@ -87,8 +87,8 @@ def scan(params: EqnParams) -> Scan:
             f"jax: got a scan with the parameters {', '.join(sorted(params))}, which pcbench does not support, expected a "
             "release such as 0.12; install that."
         )
-    how = {name: params[name] for name in ("length", "reverse", "unroll")}
-    return Scan(params["jaxpr"], consts, carry, params["length"], how)
+    options = {name: params[name] for name in ("length", "reverse", "unroll")}
+    return Scan(params["jaxpr"], consts, carry, params["length"], options)
 
 
 def while_(params: EqnParams) -> While:
@@ -129,8 +129,8 @@ def takes_rows(params: EqnParams, operand: tuple[int, ...], rank: int) -> bool:
         return False
     d, sizes = params["dimension_numbers"], params["slice_sizes"]
     first_axis = d.start_index_map == d.collapsed_slice_dims == (0,) and not d.operand_batching_dims
-    whole = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
-    return first_axis and whole and sizes == (1, *operand[1:])
+    is_row = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
+    return first_axis and is_row and sizes == (1, *operand[1:])
 
 
 def param(eqn: Eqn, name: str) -> Any:
@@ -164,5 +164,5 @@ def parameter_items(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
 
 def inner(params: EqnParams) -> list[Any]:
     """Return every program among an equation's parameters, closed or not."""
-    each = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
-    return [v for v in each if isinstance(v, ClosedJaxpr | Jaxpr)]
+    values = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
+    return [v for v in values if isinstance(v, ClosedJaxpr | Jaxpr)]

@@ -87,8 +87,8 @@ def dot(a: Array, b: Array, dimension_numbers: Any) -> Array:
     b = lax.expand_dims(b, range(len(cb) + len(bb), len(cb) + len(bb) + len(free_a)))
     shape = jnp.broadcast_shapes(a.shape, b.shape)
     terms = [(a[i], b[i]) for i in np.ndindex(shape[: len(ca)])]
-    whole = [[jnp.broadcast_to(x, shape[len(ca) :]) for x in term] for term in terms]
-    return reduce(lax.add, (product(*term) for term in whole))
+    factors = [[jnp.broadcast_to(x, shape[len(ca) :]) for x in term] for term in terms]
+    return reduce(lax.add, (product(*term) for term in factors))
 
 
 def power(x: Array, exponent: int) -> Array:
@@ -100,21 +100,21 @@ def power(x: Array, exponent: int) -> Array:
 
 def sin(x: Array) -> Array:
     """Return the sine of angles [rad] in float64."""
-    return _turned(x, 0.0)
+    return _sine_of_quarters(x, 0.0)
 
 
 def cos(x: Array) -> Array:
     """Return the cosine of angles [rad] in float64."""
-    return _turned(x, 1.0)
+    return _sine_of_quarters(x, 1.0)
 
 
-def _turned(x: Array, quarters: float) -> Array:
+def _sine_of_quarters(x: Array, quarters: float) -> Array:
     """Return the sine of an angle plus a number of quarter turns."""
     x = lax.clamp(-LARGEST, x, LARGEST)
     n = jnp.round(_times(1 / (PI_2[0] + PI_2[1]), x))
-    ahead, small = x - _times(PI_2[0], n), _times(PI_2[1], n)
-    r = ahead - small
-    t = (ahead - r) - small - _times(PI_2[2], n)
+    high, low = x - _times(PI_2[0], n), _times(PI_2[1], n)
+    r = high - low
+    t = (high - r) - low - _times(PI_2[2], n)
     n = n + quarters
     quarter = n - _times(
         4.0, jnp.floor(_times(0.25, n))
@@ -134,8 +134,8 @@ def _sine(r: Array, t: Array) -> Array:
 def _cosine(r: Array, t: Array) -> Array:
     z = product(r, r)
     half = _times(0.5, z)
-    near = 1.0 - half
-    return near + (((1.0 - near) - half) + (product(product(z, z), _polynomial(COSINE, z)) - product(r, t)))
+    c = 1.0 - half
+    return c + (((1.0 - c) - half) + (product(product(z, z), _polynomial(COSINE, z)) - product(r, t)))
 
 
 def _polynomial(coefficients: tuple[float, ...], z: Array) -> Array:

@@ -23,31 +23,31 @@ def trace_lane(f: Callable[..., PyTree], *args: PyTree) -> tuple[ClosedJaxpr, li
     """Return the program of `f` for one lane, the forms of its arguments, and the shapes of its results."""
     flat, tree = jax.tree.flatten(args, is_leaf=is_lanes)
     one = [jax.ShapeDtypeStruct(x.shape, x.dtype) if is_lanes(x) else x for x in flat]
-    closed, out = jax.make_jaxpr(lambda *a: f(*jax.tree.unflatten(tree, a)), return_shape=True)(*one)
-    return closed, [form_of(x) for x in flat], out
+    program, out = jax.make_jaxpr(lambda *a: f(*jax.tree.unflatten(tree, a)), return_shape=True)(*one)
+    return program, [form_of(x) for x in flat], out
 
 
-def forms_of(closed: ClosedJaxpr, given: Forms) -> list[int]:
+def forms_of(program: ClosedJaxpr, arg_forms: Forms) -> list[int]:
     """Return the forms of a program's results from the forms of its arguments."""
-    jaxpr = closed.jaxpr
-    forms = dict.fromkeys(jaxpr.constvars, SAME) | dict(zip(jaxpr.invars, given, strict=True))
+    jaxpr = program.jaxpr
+    forms = dict.fromkeys(jaxpr.constvars, SAME) | dict(zip(jaxpr.invars, arg_forms, strict=True))
     of = lambda v: SAME if isinstance(v, Literal) else forms[v]  # noqa: E731
     for eqn in jaxpr.eqns:
         args = [of(v) for v in eqn.invars]
-        found = _forms_of_eqn(eqn, args) if any(args) else [SAME] * len(eqn.outvars)
-        forms.update(zip(eqn.outvars, found, strict=True))
+        result_forms = _forms_of_eqn(eqn, args) if any(args) else [SAME] * len(eqn.outvars)
+        forms.update(zip(eqn.outvars, result_forms, strict=True))
     return [of(v) for v in jaxpr.outvars]
 
 
 def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
     name = eqn.primitive.name
     if name in CALLS:
-        found = forms_of(jaxpr_compat.callee(eqn.params), args)
-        together = jaxpr_compat.callee_name(eqn.params) == TOGETHER
+        forms = forms_of(jaxpr_compat.callee(eqn.params), args)
+        is_unit = jaxpr_compat.callee_name(eqn.params) == TOGETHER
         return (
-            [_as_unit(v.aval) if form else SAME for v, form in zip(eqn.outvars, found, strict=True)]
-            if together
-            else found
+            [_as_unit(v.aval) if form else SAME for v, form in zip(eqn.outvars, forms, strict=True)]
+            if is_unit
+            else forms
         )
     if is_one_row(eqn, args):
         return [TABLE if name == "dynamic_update_slice" else ENTRIES]
@@ -87,9 +87,9 @@ def scan_forms(scan: jaxpr_compat.Scan, args: Forms) -> tuple[Forms, Forms]:
 def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
     """Return the forms of a while loop's state; None if lanes end it at different times."""
     first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
-    asked, given, state = args[:first], args[first:second], by_entries(args[second:])
-    state = spread(lambda state: forms_of(loop.body, [*given, *state]), state)
-    return None if any(forms_of(loop.cond, [*asked, *state])) else state
+    cond_consts, body_consts, state = args[:first], args[first:second], by_entries(args[second:])
+    state = spread(lambda state: forms_of(loop.body, [*body_consts, *state]), state)
+    return None if any(forms_of(loop.cond, [*cond_consts, *state])) else state
 
 
 def by_entries(forms: Forms) -> list[int]:

@@ -28,16 +28,16 @@ CHUNK = 32  # lanes extracted together; 128 take 1.2 times as long with jitter, 
 class Queue(NamedTuple):
     """Events of all runs in order of time, with room for one more chunk; E rows of the event table."""
 
-    when: Array  # [E L + CHUNK] tick E + slot
-    what: Array  # [E L + CHUNK] row L + run
+    time: Array  # [E L + CHUNK] tick E + slot
+    event: Array  # [E L + CHUNK] row L + run
 
 
 class Progress(NamedTuple):
     """How many events of all runs are complete."""
 
-    sensed: Array
-    noted: Array
-    arrived: Array
+    samples: Array
+    snapshots: Array
+    arrivals: Array
 
 
 class Flight(NamedTuple):
@@ -45,7 +45,7 @@ class Flight(NamedTuple):
 
     values: Array  # [q, R, L]
     notes: Array  # [size of all snapshots, R, L]
-    done: Progress
+    progress: Progress
 
 
 class Chunk(NamedTuple):
@@ -62,28 +62,28 @@ class Events(NamedTuple):
     layout: Layout
     p: GridPointParams
     times: ClockParams
-    agenda: EventTable
-    taken: Queue
-    noting: Queue
+    table: EventTable
+    samples: Queue
+    snapshots: Queue
     arrivals: Queue
     noise: list[Array]  # by channel [M, L], standard normal; then the other draws of a sample, by channel
-    form: packing.Packing
+    memory_packing: packing.Packing
     first_notes: Notes  # of the initial state; all snapshots have this shape
 
     @property
     def rows(self) -> int:
         """Return E, the rows of the event table."""
-        return len(self.agenda.arrives)
+        return len(self.table.arrives)
 
     def happen(self, k: Array, state: State) -> State:
         """Apply all events of tick k: sample and snapshot, then deliver, the oldest packet of a run first."""
         return _deliver(self, k, _take(self, k, state))
 
-    def following(self, k: Array, state: State) -> Array:
+    def next_event(self, k: Array, state: State) -> Array:
         """Return the tick of the next event of any run after tick k."""
-        done = state.flight.done
-        due = jnp.stack([self.taken.when[done.sensed], self.noting.when[done.noted], self.arrivals.when[done.arrived]])
-        return due.min() // self.rows
+        progress = state.flight.progress
+        queues = self.samples, self.snapshots, self.arrivals  # in the order of `Progress`
+        return jnp.stack([queue.time[i] for queue, i in zip(queues, progress, strict=True)]).min() // self.rows
 
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
@@ -91,62 +91,70 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
     times: PyTree = p.schedule
     plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
-    taken = _queue(plan.taken * rows)
-    stamped = _queue(plan.timestamp * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
+    samples = _queue(plan.taken * rows)
+    shift = times.error * rows
+    snapshots = _queue(plan.timestamp * rows) if times.stamp else samples._replace(time=samples.time - shift)
     events = Events(
         layout=layout,
         p=p,
         times=times,
-        agenda=plan,
-        taken=taken,
-        noting=stamped,
+        table=plan,
+        samples=samples,
+        snapshots=snapshots,
         arrivals=_queue(plan.arrives * rows + plan.slot),
         noise=_noise(p, times, root_seed, seeds),
-        form=packing.packing(
+        memory_packing=packing.packing(
             lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories
         ),
         first_notes=snapshot(layout, p, zero, state),
     )
-    early = (stamped.when < 0).sum()  # assumed to be from before tick 0: the snapshot is that of the initial state
+    n_early = (snapshots.time < 0).sum()  # assumed to be from before tick 0: the snapshot is that of the initial state
     rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
-    flight = Flight(*rings, Progress(zero, early, zero))
-    return events, state._replace(memories=events.form.pack(state.memories), flight=flight)
+    flight = Flight(*rings, Progress(zero, n_early, zero))
+    return events, state._replace(memories=events.memory_packing.pack(state.memories), flight=flight)
 
 
 def _take(events: Events, k: Array, state: State) -> State:
     """Take the samples of tick k and the snapshots with this timestamp, CHUNK runs at a time."""
-    taken, noting, now, telling = events.taken, events.noting, k * events.rows, any_is_notified(events.layout)
+    samples, snapshots, instant = events.samples, events.snapshots, k * events.rows
+    notifies = any_is_notified(events.layout)
 
     def due(c: tuple[Flight, PyTree]) -> Array:
-        return (taken.when[c[0].done.sensed] == now) | (noting.when[c[0].done.noted] == now)
+        return (samples.time[c[0].progress.samples] == instant) | (snapshots.time[c[0].progress.snapshots] == instant)
 
-    def some(c: tuple[Flight, PyTree]) -> tuple[Flight, PyTree]:
-        (flight, memories), done = c, c[0].done
-        sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
-        values = _write(flight.values, sensed, _measure_runs(events, k, state, sensed))
-        notes = _write(flight.notes, noted, snapshot(events.layout, events.p, k, _taken_out(events, state, noted)))
-        if telling:
-            memories = _notify_observers(events, k, state._replace(memories=memories), sensed)
-        done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
-        return Flight(values, notes, done), memories
+    def step(c: tuple[Flight, PyTree]) -> tuple[Flight, PyTree]:
+        (flight, memories), progress = c, c[0].progress
+        sample_chunk, snapshot_chunk = (
+            _chunk(q, n, instant, events.layout)
+            for q, n in ((samples, progress.samples), (snapshots, progress.snapshots))
+        )
+        values = _write(flight.values, sample_chunk, _measure_runs(events, k, state, sample_chunk))
+        view = _view_of_runs(events, state, snapshot_chunk)
+        notes = _write(flight.notes, snapshot_chunk, snapshot(events.layout, events.p, k, view))
+        if notifies:
+            memories = _notify_observers(events, k, state._replace(memories=memories), sample_chunk)
+        progress = Progress(
+            progress.samples + sample_chunk.size, progress.snapshots + snapshot_chunk.size, progress.arrivals
+        )
+        return Flight(values, notes, progress), memories
 
-    flight, memories = lax.while_loop(due, some, (state.flight, state.memories if telling else ()))
-    return state._replace(flight=flight, memories=memories if telling else state.memories)
+    flight, memories = lax.while_loop(due, step, (state.flight, state.memories if notifies else ()))
+    return state._replace(flight=flight, memories=memories if notifies else state.memories)
 
 
 def _measure_runs(events: Events, k: Array, state: State, c: Chunk) -> PyTree:
-    number = _of_channels(events, events.agenda.number, c.row, c.lane)
-    noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
-    x, drawn = lane_array.pick((state.x, state.plant_draws), c.lane)
-    return measure(events.layout, events.p, k, state._replace(x=x, plant_draws=drawn), lane_array.split(noise))
+    number = _of_channels(events, events.table.number, c.row, c.lane)
+    noise = jnp.stack([_at(v, number[i % len(number)], c.lane) for i, v in enumerate(events.noise)])
+    x, plant_draws = lane_array.pick((state.x, state.plant_draws), c.lane)
+    return measure(events.layout, events.p, k, state._replace(x=x, plant_draws=plant_draws), lane_array.split(noise))
 
 
 def _notify_observers(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
     """Return the memories after the observers of some runs were notified of their samples."""
-    mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
-    after = notify_sampled(events.layout, events.p, k, mine, lane_array.split(number >= 0))
+    view, number = _view_of_runs(events, state, c), _of_channels(events, events.table.number, c.row, c.lane)
+    memories = notify_sampled(events.layout, events.p, k, view, lane_array.split(number >= 0))
     return packing.put_back(
-        state.memories, events.form.pack(lane_array.match_form(after, mine.memories, CHUNK)), c.lane
+        state.memories, events.memory_packing.pack(lane_array.match_form(memories, view.memories, CHUNK)), c.lane
     )
 
 
@@ -154,36 +162,38 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     """Deliver every packet that arrives at tick k, CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
-    def some(c: tuple[Array, packing.PackedMemory]) -> tuple[Array, packing.PackedMemory]:
-        coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
-        return c[0] + coming.size, _apply_arrivals(events, k, state._replace(memories=c[1]), coming)
+    def step(c: tuple[Array, packing.PackedMemory]) -> tuple[Array, packing.PackedMemory]:
+        chunk = _chunk(arrivals, c[0], arrivals.time[c[0]], events.layout)
+        return c[0] + chunk.size, _apply_arrivals(events, k, state._replace(memories=c[1]), chunk)
 
-    arrived, memories = lax.while_loop(
-        lambda c: arrivals.when[c[0]] < last, some, (flight.done.arrived, state.memories)
+    position, memories = lax.while_loop(
+        lambda c: arrivals.time[c[0]] < last, step, (flight.progress.arrivals, state.memories)
     )
-    return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
+    return state._replace(
+        memories=memories, flight=flight._replace(progress=flight.progress._replace(arrivals=position))
+    )
 
 
 def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing.PackedMemory:
     """Return the memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
-    which = _at(events.agenda.packet, c.row, c.lane)
-    values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
+    packet_row = _at(events.table.packet, c.row, c.lane)
+    values, notes = (ring.at[:, packet_row % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
     packet = Packet(lane_array.split(values), _unflat(notes, events.first_notes))
-    mine = _taken_out(events, state, c)
-    after = jump(layout, events.p, k, mine, _row(events, k, c, which), packet)
+    view = _view_of_runs(events, state, c)
+    memories = jump(layout, events.p, k, view, _row(events, k, c, packet_row), packet)
     return packing.put_back(
-        state.memories, events.form.pack(lane_array.match_form(after, mine.memories, CHUNK)), c.lane
+        state.memories, events.memory_packing.pack(lane_array.match_form(memories, view.memories, CHUNK)), c.lane
     )
 
 
-def _taken_out(events: Events, state: State, c: Chunk) -> State:
+def _view_of_runs(events: Events, state: State, c: Chunk) -> State:
     """Return the observers' view of some runs: their memories, and in a closed loop their commands."""
-    mine = state._replace(memories=events.form.whole(packing.pick(state.memories, c.lane)))
+    view = state._replace(memories=events.memory_packing.unpack(packing.pick(state.memories, c.lane)))
     if not events.layout.controller:
-        return mine
+        return view
     commands, watches = lane_array.pick((state.commands, state.watches), c.lane)
-    return mine._replace(commands=commands, watches=watches)
+    return view._replace(commands=commands, watches=watches)
 
 
 def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Array) -> list[Array]:
@@ -192,29 +202,31 @@ def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Arra
     Drawn in advance: the hash of a draw takes longer for a chunk of lanes than its jump.
     """
     noise, index = measurements.noise_sampler(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
-    each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
-    return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
+    channels = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
+    return [rows[:, i] for i in range(channels[0].shape[1]) for rows in channels]
 
 
-def _queue(when: Array) -> Queue:
-    order = jnp.argsort(when.reshape(-1), stable=True)
-    end = jnp.full(CHUNK, NEVER * len(when))
-    return Queue(jnp.concatenate([when.reshape(-1)[order], end]), jnp.concatenate([order, jnp.zeros_like(end)]))
+def _queue(time: Array) -> Queue:
+    order = jnp.argsort(time.reshape(-1), stable=True)
+    end = jnp.full(CHUNK, NEVER * len(time))
+    return Queue(jnp.concatenate([time.reshape(-1)[order], end]), jnp.concatenate([order, jnp.zeros_like(end)]))
 
 
-def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
-    """Return the next events of a queue that are due at `when`."""
-    due, what = (lax.dynamic_slice_in_dim(a, done, CHUNK) for a in queue)
-    together = due == when
-    return Chunk(jnp.where(together, what % layout.width, layout.width), what // layout.width, together.sum())
+def _chunk(queue: Queue, start: Array, time: Array, layout: Layout) -> Chunk:
+    """Return the next events of a queue that are due at `time`."""
+    due, events = (lax.dynamic_slice_in_dim(a, start, CHUNK) for a in queue)
+    is_due = due == time
+    return Chunk(jnp.where(is_due, events % layout.width, layout.width), events // layout.width, is_due.sum())
 
 
-def _row(events: Events, k: Array, c: Chunk, which: Array) -> ArrivalInfo:
+def _row(events: Events, k: Array, c: Chunk, packet_row: Array) -> ArrivalInfo:
     """Return mask, age and sample numbers of the packets that arrive."""
-    plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
+    plan, number = events.table, _of_channels(events, events.table.number, packet_row, c.lane)
     return ArrivalInfo(
         mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
-        age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.timestamp, which, c.lane), 0), number.shape)),
+        age=lane_array.split(
+            jnp.broadcast_to(k - jnp.maximum(_at(plan.timestamp, packet_row, c.lane), 0), number.shape)
+        ),
         number=lane_array.split(number),
         ticks_since_arrival=lane_array.split(_at(plan.ticks_since_arrival, c.row, c.lane)),
     )
@@ -239,11 +251,11 @@ def _flat(packet: PyTree, width: int) -> Array:
 
 def _unflat(numbers: Array, like: PyTree) -> PyTree:
     """Return the packet of numbers from `_flat`, in the shape of `like`."""
-    rest = iter(numbers)
+    rows = iter(numbers)
 
     def one(leaf: PyTree) -> PyTree:
         size = math.prod(leaf.shape)
-        return lane_array.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
+        return lane_array.lanes_of(leaf.shape, [next(rows) for _ in range(size)]) if size else leaf
 
     return jax.tree.map(one, like, is_leaf=lane_array.is_lanes)
 

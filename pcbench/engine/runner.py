@@ -72,10 +72,10 @@ class Program(NamedTuple):
 
 def devices(count: int | None = None) -> list[PyTree]:
     """Return the device of each simultaneous call: one per core, or one per accelerator; `count` of them."""
-    found = jax.devices()
-    if found[0].platform == "cpu":
-        return [found[0]] * (count or cores())
-    return found[:count]
+    local = jax.devices()
+    if local[0].platform == "cpu":
+        return [local[0]] * (count or cores())
+    return local[:count]
 
 
 def cores() -> int:
@@ -94,8 +94,8 @@ def program(layout: Layout, job: Job, device: jax.Device | None = None) -> Progr
             "the size of errors compared here; call pcbench.setup(), or run inside jax.enable_x64(True)."
         )
     leaves, tree = jax.tree.flatten(arguments(job, layout.width))
-    made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
-    return _PROGRAMS.ask(made_for, lambda: _compile_program(*made_for))
+    key = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
+    return _PROGRAMS.ask(key, lambda: _compile_program(*key))
 
 
 _PROGRAMS: program_cache.Programs[Program] = program_cache.Programs()
@@ -104,7 +104,7 @@ _NUMBERS = itertools.count(1)
 
 def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: tuple[PyTree, ...]) -> Program:
     sharding = jax.sharding.SingleDeviceSharding(device)
-    given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
+    args = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
 
     def simulate(p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree) -> RunSums:
@@ -112,7 +112,7 @@ def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: t
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds)
 
-    call = program_store.compile_program(simulate, layout, given, options, RETURNED)
+    call = program_store.compile_program(simulate, layout, args, options, RETURNED)
     return Program(
         layout=layout,
         call=call,
@@ -140,26 +140,26 @@ def compilations() -> int:
 
 def arguments(job: Job, width: int) -> tuple[GridPointParams, PyTree, PyTree, PyTree]:
     """Return the arguments of a call: arrays, with a short list of seeds padded by repetition."""
-    which = np.resize(np.arange(len(job.seeds)), width)
-    schedules = jax.tree.map(lambda a: a[which], job.schedules)
-    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), job.seeds[which], schedules
+    index = np.resize(np.arange(len(job.seeds)), width)
+    schedules = jax.tree.map(lambda a: a[index], job.schedules)
+    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), job.seeds[index], schedules
 
 
-def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
+def serial(compiled: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSums]]:
     """Simulate jobs one after another; yield each with its sums, as NumPy arrays [..., L].
 
     The next call is submitted before the previous results are read.
     """
-    waiting: list[tuple[Job, PyTree]] = []
+    pending: list[tuple[Job, PyTree]] = []
     for job in jobs:
-        given = arguments(job, made.width)
+        args = arguments(job, compiled.width)
         if job.schedules is not None:  # shapes differ if more packets arrive at one tick
-            made = program(made.layout, job, made.device)
-        waiting.append((job, made.call(*given)))
-        if len(waiting) > 1:
-            yield _read(*waiting.pop(0))
-    for job, out in waiting:
-        yield _read(job, out)
+            compiled = program(compiled.layout, job, compiled.device)
+        pending.append((job, compiled.call(*args)))
+        if len(pending) > 1:
+            yield _to_numpy(*pending.pop(0))
+    for job, out in pending:
+        yield _to_numpy(job, out)
 
 
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, RunSums]]:
@@ -167,13 +167,13 @@ def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[t
     at_once = devices(count)
     with thread_pools.pool(len(at_once)) as threads:
         programs = [program(layout, jobs[0], device) for device in at_once]
-        waiting = []
+        futures = []
         for i, job in enumerate(jobs):
-            made = programs[i % len(programs)]
-            waiting.append(threads.submit(in_float64, next, serial(made, [job])))
-            if len(waiting) > 2 * len(at_once):
-                yield waiting.pop(0).result()
-        for future in waiting:
+            compiled = programs[i % len(programs)]
+            futures.append(threads.submit(in_float64, next, serial(compiled, [job])))
+            if len(futures) > 2 * len(at_once):
+                yield futures.pop(0).result()
+        for future in futures:
             yield future.result()
 
 
@@ -183,6 +183,6 @@ def in_float64(function: Any, *arguments: PyTree) -> PyTree:
         return function(*arguments)
 
 
-def _read(job: Job, out: RunSums) -> tuple[Job, RunSums]:
-    mine = (..., slice(len(job.seeds)))
-    return job, jax.tree.map(operator.itemgetter(mine), jax.tree.map(np.asarray, out))
+def _to_numpy(job: Job, out: RunSums) -> tuple[Job, RunSums]:
+    runs = (..., slice(len(job.seeds)))
+    return job, jax.tree.map(operator.itemgetter(runs), jax.tree.map(np.asarray, out))

@@ -59,11 +59,11 @@ def observer_view(layout: Layout, state: State) -> Lane:
     return Lane((), state.memories, state.commands, state.watches if layout.controller else {})
 
 
-def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: TickNoise) -> State:
+def tick(layout: Layout, p: GridPointParams, k: Array, state: State, noise: TickNoise) -> State:
     """Return the state at tick k + 1 from one at tick k after its events, in the order of `simulate_runs.tick`."""
     state = score(layout, p, k, state)  # 3. estimate
-    state = control(layout, p, k, state, drawn.command)  # 4. control
-    return flow(layout, p, k, state, drawn.process)  # 5. flow
+    state = control(layout, p, k, state, noise.command)  # 4. control
+    return flow(layout, p, k, state, noise.process)  # 5. flow
 
 
 # 1. sense
@@ -72,8 +72,8 @@ def tick(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: Tick
 def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: PerLane) -> PerLane:
     """Return the measurement of every channel at tick k, [q]."""
 
-    def one_lane(k: Array, x: Array, drawn: PyTree, v: Array) -> Array:
-        return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
+    def one_lane(k: Array, x: Array, plant_draws: PyTree, v: Array) -> Array:
+        return simulate_runs.measure(layout, p, params_of(layout, p, plant_draws), k, x, v)
 
     return vmap_entrywise(one_lane)(k, state.x, state.plant_draws, noise)
 
@@ -87,8 +87,8 @@ def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, m
     """Return the memories after observers with `on_sample` are notified which channels [q] are sampled at tick k."""
 
     def one_lane(k: Array, lane: Lane, mask: Array) -> Memories:
-        after = simulate_runs.notify(layout, p, k, lane.run, mask)
-        return freeze_diverged(layout, lane.run, after, lane.memories)
+        memories = simulate_runs.notify(layout, p, k, lane.run, mask)
+        return freeze_diverged(layout, lane.run, memories, lane.memories)
 
     return vmap_entrywise(one_lane)(k, observer_view(layout, state), mask)
 
@@ -108,8 +108,8 @@ def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: Arriva
         arrival = partial(
             Arrival, packet.values, row.mask, row.age, row.number, ticks_since_arrival=row.ticks_since_arrival
         )
-        after = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
-        return freeze_diverged(layout, lane.run, after, lane.memories)
+        memories = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
+        return freeze_diverged(layout, lane.run, memories, lane.memories)
 
     return vmap_entrywise(one_lane)(k, observer_view(layout, state), row, packet)
 
@@ -129,8 +129,8 @@ def estimates(layout: Layout, p: GridPointParams, state: State) -> dict[str, Per
 def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLane:
     """Return the true values of the estimated signals at tick k: [n + s]."""
 
-    def one_lane(k: Array, x: Array, drawn: PyTree) -> Array:
-        return truth(layout, params_of(layout, p, drawn), present(p, k, True), x)
+    def one_lane(k: Array, x: Array, plant_draws: PyTree) -> Array:
+        return truth(layout, params_of(layout, p, plant_draws), present(p, k, True), x)
 
     return vmap_entrywise(one_lane)(k, state.x, state.plant_draws)
 
@@ -138,8 +138,8 @@ def actual(layout: Layout, p: GridPointParams, k: Array, state: State) -> PerLan
 def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[str, PerLane]:
     """Return e of every observer at tick k for all that it estimates."""
 
-    def one_lane(k: Array, lane: Lane, drawn: PyTree) -> dict[str, Array]:
-        return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
+    def one_lane(k: Array, lane: Lane, plant_draws: PyTree) -> dict[str, Array]:
+        return simulate_runs.errors(layout, p, params_of(layout, p, plant_draws), k, lane.run)
 
     return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories, state.commands), state.plant_draws)
 
@@ -147,23 +147,23 @@ def errors(layout: Layout, p: GridPointParams, k: Array, state: State) -> dict[s
 def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
     """Add the errors of tick k to the sums and settling states, and in a closed loop the tracking error."""
 
-    def bounded(k: Array, lane: Lane, drawn: PyTree) -> dict[str, PyTree]:
-        return simulate_runs.intervals(layout, p, params_of(layout, p, drawn), k, lane.run)
+    def intervals_of_lane(k: Array, lane: Lane, plant_draws: PyTree) -> dict[str, PyTree]:
+        return simulate_runs.intervals(layout, p, params_of(layout, p, plant_draws), k, lane.run)
 
     def one_lane(
-        k: Array, e: PyTree, found: PyTree, streams: PyTree, watches: PyTree, tracking: PyTree, x: Array
+        k: Array, e: PyTree, intervals: PyTree, streams: PyTree, watches: PyTree, tracking: PyTree, x: Array
     ) -> PyTree:
         if layout.controller and state.tracking:
             tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
-        updated = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
-        looked = {
-            label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, found.get(label, ()))
+        new_streams = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
+        new_watches = {
+            label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, intervals.get(label, ()))
             for label, w in watches.items()
         }
-        return updated, looked, tracking
+        return new_streams, new_watches, tracking
 
     e, lane = errors(layout, p, k, state), Lane(state.x, state.memories, state.commands)
-    found = vmap_entrywise(bounded)(k, lane, state.plant_draws) if state.watches else {}
+    found = vmap_entrywise(intervals_of_lane)(k, lane, state.plant_draws) if state.watches else {}
     scored = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
     streams, watches, tracking = scored
     return state._replace(streams=streams, watches=watches, tracking=tracking)
@@ -181,27 +181,27 @@ def squares(layout: Layout, p: GridPointParams, k: Array, state: State, e: dict[
 # 4. control, 5. flow
 
 
-def control(layout: Layout, p: GridPointParams, k: Array, state: State, drawn: PyTree = ()) -> State:
-    """Compute the command of tick k in a closed loop, and add its cost; `drawn` are the network's random numbers."""
+def control(layout: Layout, p: GridPointParams, k: Array, state: State, draws: PyTree = ()) -> State:
+    """Compute the command of tick k in a closed loop, and add its cost; `draws` are the network's random numbers."""
     if layout.controller is None:
         return state
 
-    def one_lane(k: Array, lane: Lane, law: PyTree, effort: PyTree, drawn: PyTree) -> PyTree:
-        run = simulate_runs.command(layout, p, k, lane.run._replace(law=law), drawn)
+    def one_lane(k: Array, lane: Lane, law: PyTree, effort: PyTree, draws: PyTree) -> PyTree:
+        run = simulate_runs.command(layout, p, k, lane.run._replace(law=law), draws)
         if isinstance(p.weights, metrics.Weights):
             effort = simulate_runs.spend(layout, p, k, run, effort)
         return run.commands, run.law, effort
 
     lane = Lane(state.x, state.memories, state.commands)
-    commands, law, effort = vmap_entrywise(one_lane)(k, lane, state.law, state.effort, drawn)
+    commands, law, effort = vmap_entrywise(one_lane)(k, lane, state.law, state.effort, draws)
     return state._replace(commands=commands, law=law, effort=effort)
 
 
 def flow(layout: Layout, p: GridPointParams, k: Array, state: State, w: PerLane) -> State:
     """Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
 
-    def one_lane(k: Array, lane: Lane, drawn: PyTree, w: Array) -> PyTree:
-        run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
+    def one_lane(k: Array, lane: Lane, plant_draws: PyTree, w: Array) -> PyTree:
+        run = simulate_runs.flow(layout, p, params_of(layout, p, plant_draws), k, lane.run, w)
         return run.x, run.memories
 
     x, memories = vmap_entrywise(one_lane)(k, observer_view(layout, state)._replace(x=state.x), state.plant_draws, w)

@@ -64,7 +64,7 @@ def form_of(layout: Layout, p: GridPointParams) -> Form:
     """Return which parts of a state noise reaches."""
     begun = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
     bare = begun._replace(
-        drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=()
+        plant_draws=(), flight=(), streams={}, watches={}, tracking=(), effort=()
     )  # the parts that moments use
     leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs are LaneArrays
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]

@@ -202,7 +202,7 @@ def test_a_packed_memory_with_a_table_is_the_memory():
         "moved": lane_array.split(jnp.zeros((1, 4))),
     }
     form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
-    back = form.whole(form.pack(memory))
+    back = form.unpack(form.pack(memory))
     assert back["ring"].rows == 3
     for name in memory:
         np.testing.assert_array_equal(lane_array.join(back[name]), lane_array.join(memory[name]))
@@ -219,9 +219,9 @@ def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
     }
     form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
     kept = form.pack(memory)
-    assert kept.still.shape == (2 + 6 + 2 + 1, 4)
-    assert len(kept.moving) == 1
-    back = form.whole(kept)
+    assert kept.table.shape == (2 + 6 + 2 + 1, 4)
+    assert len(kept.leaves) == 1
+    back = form.unpack(kept)
     for name, entry in memory.items():
         assert (back[name].dtype, back[name].shape, back[name].rows) == (entry.dtype, entry.shape, entry.rows), name
         np.testing.assert_array_equal(lane_array.join(back[name]), lane_array.join(entry))

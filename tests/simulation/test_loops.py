@@ -159,7 +159,9 @@ def test_runs_that_are_taken_out_bring_their_own_commands():
         watches={},
         commands=commands,
     )
-    events = SimpleNamespace(layout=SimpleNamespace(controller=True), form=SimpleNamespace(whole=lambda kept: kept))
+    events = SimpleNamespace(
+        layout=SimpleNamespace(controller=True), memory_packing=SimpleNamespace(unpack=lambda kept: kept)
+    )
     chunk = random_schedules.Chunk(jnp.array([1, 0]), jnp.zeros(2, int), jnp.asarray(2))
-    mine = random_schedules._taken_out(events, state, chunk).commands
+    mine = random_schedules._view_of_runs(events, state, chunk).commands
     np.testing.assert_array_equal(lane_array.join(mine), [[[1.0, 0.0]], [[4.0, 3.0]]])
