@@ -38,7 +38,7 @@ def refusal_beforehand(p: Plan) -> str:
     """Return a clause why an observer has no exact moments, if that is known without them; else empty."""
     if why := _unsupported_samples(p.cell.scenario.sampling):
         return f"has samples {why}"
-    if (numbers := form_of(p.layout, p.problem).reached) > MOST_NUMBERS:
+    if (numbers := form_of(p.layout, p.problem).vector_size) > MOST_NUMBERS:
         return f"keeps {numbers:,} numbers, where exact moments follow the covariance of at most {MOST_NUMBERS:,}"
     return ""
 
@@ -61,8 +61,8 @@ def _unsupported_samples(sampling: Sampling) -> str:
 def bend(p: Plan) -> float:
     """Return the largest f(x + d) + f(x - d) - 2 f(x) of a tick relative to its size; 0 if no noise reaches x."""
     layout, problem = p.layout, p.problem
-    reached = layout.controller or layout.random_initial_state or len(problem.process_std)
-    if not reached or layout.drifting:
+    has_noise = layout.controller or layout.random_initial_state or len(problem.process_std)
+    if not has_noise or layout.drifting:
         return 0.0
     n, m, params = len(problem.x0), problem.inputs.shape[1], jax.tree.map(jnp.asarray, problem.params)
     u, worst = jnp.zeros(m), 0.0
@@ -73,8 +73,8 @@ def bend(p: Plan) -> float:
             np.asarray(layout.plant.step(params, now, jnp.asarray(problem.x0 + s * d))) for s in (1, -1, 0)
         )
         size = np.abs([up, down, middle]).max()
-        part = np.abs(up + down - 2 * middle).max() / size if size else 0.0
-        worst = max(worst, float(part) if np.isfinite(part) else np.inf)
+        ratio = np.abs(up + down - 2 * middle).max() / size if size else 0.0
+        worst = max(worst, float(ratio) if np.isfinite(ratio) else np.inf)
     return worst
 
 
@@ -86,23 +86,23 @@ def is_curved(layout: Layout, problem: GridPointParams) -> bool:
 @by_shapes
 def _is_curved(layout: Layout, p: GridPointParams) -> bool:
     form = form_of(layout, p)
-    if not any(form.moving):
+    if not any(form.noisy):
         return False
     zero, q = jnp.asarray(0), p.noise_std.shape[0]
-    state = _before(layout, p)
+    state = _initial_shapes(layout, p)
     packet = jax.eval_shape(lambda p, state: sense(layout, p, zero, state, (), ()), p, state)
     row = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
 
-    def reads(f: OneCell, flat: Callable[..., Array], entering: PyTree, rest: PyTree) -> bool:
-        def matrix(state: Run, p: GridPointParams, k: Array, entering: PyTree) -> Array:
-            return slope(form, f, flat)(p, k, state, entering, rest)
+    def slope_varies(f: OneCell, flat: Callable[..., Array], w: PyTree, inputs: PyTree) -> bool:
+        def matrix(state: Run, p: GridPointParams, k: Array, noise: PyTree) -> Array:
+            return slope(form, f, flat)(p, k, state, noise, inputs)
 
-        leaves = reach(matrix, state, p, zero, entering)
-        return any(moves and leaf in leaves for leaf, moves in enumerate(form.moving))
+        leaves = reach(matrix, state, p, zero, w)
+        return any(moves and leaf in leaves for leaf, moves in enumerate(form.noisy))
 
     process = jax.ShapeDtypeStruct(p.process_std.shape, float)
     arrival = partial(jump, layout), partial(vector, form), packet, (jnp.asarray(True), row)
-    return reads(partial(one_cell, layout), partial(flat, form), process, ()) or reads(*arrival)
+    return slope_varies(partial(one_cell, layout), partial(flat, form), process, ()) or slope_varies(*arrival)
 
 
 def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
@@ -112,7 +112,7 @@ def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
 
 @by_shapes
 def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
-    zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _before(layout, p)
+    zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _initial_shapes(layout, p)
     notes = jax.eval_shape(lambda p, r: simulate_runs.take_notes(layout, p, zero, r.memories, r.commands), p, run)
 
     def arrive(since: Array, p: GridPointParams, run: Run, notes: dict[str, Array]) -> PyTree:
@@ -124,6 +124,6 @@ def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
     return any(v is jaxpr.invars[0] for v in [*jaxpr.outvars, *(v for e in jaxpr.eqns for v in e.invars)])
 
 
-def _before(layout: Layout, p: GridPointParams) -> Run:
+def _initial_shapes(layout: Layout, p: GridPointParams) -> Run:
     """Return the shapes of a state before tick 0."""
     return jax.eval_shape(lambda p: begin(layout, p, jnp.asarray(0), (), jnp.zeros(2 * p.x0.shape[0]), ()), p)

@@ -48,100 +48,98 @@ Values = NDArray[np.float64]
 class Chain(NamedTuple):
     """Additional delays of a clock's samples; m values."""
 
-    later: tuple[int, ...]  # [m] ticks
-    often: Values  # [m] stationary and initial distribution
-    following: Values  # [m, m] transition matrix
+    delays: tuple[int, ...]  # [m] ticks
+    stationary: Values  # [m] stationary and initial distribution
+    transition: Values  # [m, m] transition matrix
 
 
 def over_modes(p: Plan) -> list[Realisation] | None:
     """Return a grid point of one observer in each of its modes; None if its schedules are averaged or not random."""
     clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
-    if not delays_alone(p):
+    if not only_delays_random(p):
         return None
     chain = _chain(clock)
     layout = p.layout._replace(width=1, watch=False)
     length = _length(clock, chain, ticks, asks_last_arrival(layout, p.problem))
-    if len(chain.later) ** length > MOST:
+    if len(chain.delays) ** length > MOST:
         return None
-    every = [a for a in itertools.product(range(len(chain.later)), repeat=length) if _share(chain, a) > 0]
+    every = [a for a in itertools.product(range(len(chain.delays)), repeat=length) if _share(chain, a) > 0]
     number = {mode: i for i, mode in enumerate(every)}
-    taken = sampling.instants(clock, ticks)[:-1]
-    merged = np.isin(np.arange(ticks + 1), taken[1:])
-    schedule_of = _schedules(p, clock, chain, length, taken)
+    instants = sampling.instants(clock, ticks)[:-1]
+    merge_ticks = np.isin(np.arange(ticks + 1), instants[1:])
+    schedule_of = _schedules(p, clock, chain, length, instants)
     out = []
     for mode in every:
-        before = [(*mode[1:], oldest) for oldest in range(len(chain.later))]
-        before = [each for each in before if each in number and chain.following[each[0], mode[0]] > 0]
-        weight = np.array([_share(chain, each) * chain.following[each[0], mode[0]] for each in before])
-        source = tuple(number[each] for each in before)
-        about = Mode(number[mode], _share(chain, mode), source, tuple((weight / weight.sum()).tolist()), merged)
-        out.append(Realisation(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=about))
+        sources = [(*mode[1:], oldest) for oldest in range(len(chain.delays))]
+        sources = [m for m in sources if m in number and chain.transition[m[0], mode[0]] > 0]
+        weight = np.array([_share(chain, m) * chain.transition[m[0], mode[0]] for m in sources])
+        source = tuple(number[m] for m in sources)
+        record = Mode(number[mode], _share(chain, mode), source, tuple((weight / weight.sum()).tolist()), merge_ticks)
+        out.append(Realisation(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=record))
     return out
 
 
 def mix_of(modes: list[Mode]) -> Mix:
     """Return the transitions between modes side by side; modes of one grid point are adjacent, and the last may be repeated."""
-    many = max(len(mode.source) for mode in modes)
-    source, weight = np.zeros((many, len(modes)), int), np.zeros((many, len(modes)))
+    n_sources = max(len(mode.source) for mode in modes)
+    source, weight = np.zeros((n_sources, len(modes)), int), np.zeros((n_sources, len(modes)))
     first = 0
-    for at, mode in enumerate(modes):
+    for column, mode in enumerate(modes):
         if mode.number == 0:
-            first = at
-        mine = [first + number for number in mode.source]
-        source[:, at] = mine + mine[:1] * (many - len(mine))
-        weight[: len(mine), at] = mode.weight
-    return Mix(source, weight, np.stack([mode.merged for mode in modes], -1))
+            first = column
+        sources = [first + number for number in mode.source]
+        source[:, column] = sources + sources[:1] * (n_sources - len(sources))
+        weight[: len(sources), column] = mode.weight
+    return Mix(source, weight, np.stack([mode.merge_ticks for mode in modes], -1))
 
 
-def delays_alone(p: Plan) -> bool:
+def only_delays_random(p: Plan) -> bool:
     """Return whether the delays of one sensor are all that is random in addition to the noise."""
     clocks = p.cell.times.clocks
     if len(clocks) > 1 or not clocks[0].random or p.layout.drifting or p.problem.network:
         return False
-    return not (_sure(clocks[0]).random or clocks[0].early or any(clocks[0].outage))
+    return not (_without_delays(clocks[0]).random or clocks[0].early or any(clocks[0].outage))
 
 
-def _sure(clock: Clock) -> Clock:
+def _without_delays(clock: Clock) -> Clock:
     """Return a clock whose samples all have its delay."""
     return clock._replace(spread=0, steps=(), stay=(), share=())
 
 
 def _chain(clock: Clock) -> Chain:
     """Return the chain of additional delays: dependent or independent steps, plus independent jitter."""
-    steps, many = clock.steps or (0,), len(clock.steps) or 1
+    steps, m = clock.steps or (0,), len(clock.steps) or 1
     if clock.share or not clock.steps:
-        often = np.array(clock.share or (1.0,))
-        T = np.tile(often, (many, 1))
+        stationary = np.array(clock.share or (1.0,))
+        T = np.tile(stationary, (m, 1))
     else:
-        often, stay = np.array(sampling.stationary(clock.stay)), np.array(clock.stay)
-        T = np.where(np.eye(many, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(many - 1, 1))
+        stationary, stay = np.array(sampling.stationary(clock.stay)), np.array(clock.stay)
+        T = np.where(np.eye(m, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(m - 1, 1))
     jitter = np.full(clock.spread + 1, 1 / (clock.spread + 1))
-    later = tuple(step + more for step in steps for more in range(clock.spread + 1))
-    return Chain(later, np.kron(often, jitter), np.kron(T, np.tile(jitter, (len(jitter), 1))))
+    delays = tuple(step + jitter_ticks for step in steps for jitter_ticks in range(clock.spread + 1))
+    return Chain(delays, np.kron(stationary, jitter), np.kron(T, np.tile(jitter, (len(jitter), 1))))
 
 
-def _length(clock: Clock, chain: Chain, ticks: int, asked: bool) -> int:
-    """Return how many of the newest samples determine the events until the next one; with the last arrival if `asked`."""
-    taken = np.array(sampling.instants(clock, ticks))
-    usual = taken[1:] if clock.delay is None else taken[:-1] + clock.delay
-    first, last, taken = usual + min(chain.later), usual + max(chain.later), taken[:-1]
-    many = len(taken)
-    back = next(n for n in range(1, many + 1) if (last[: many - n] < taken[n:]).all())
-    if not asked:
+def _length(clock: Clock, chain: Chain, ticks: int, last_arrival: bool) -> int:
+    """Return how many of the newest samples determine the events until the next one, and the last arrival if asked."""
+    instants = np.array(sampling.instants(clock, ticks))
+    usual = instants[1:] if clock.delay is None else instants[:-1] + clock.delay
+    first, last, instants = usual + min(chain.delays), usual + max(chain.delays), instants[:-1]
+    M = len(instants)
+    back = next(n for n in range(1, M + 1) if (last[: M - n] < instants[n:]).all())
+    if not last_arrival:
         return back
-    return next(
-        n for n in range(back + 1, many + back + 1) if (first[n - back :][: many - n] >= last[: many - n]).all()
-    )
+    return next(n for n in range(back + 1, M + back + 1) if (first[n - back :][: M - n] >= last[: M - n]).all())
 
 
 def _share(chain: Chain, mode: tuple[int, ...]) -> float:
     """Return the probability of a mode; the newest sample's value comes first."""
     old = mode[::-1]
-    return float(chain.often[old[0]] * math.prod(chain.following[a, b] for a, b in itertools.pairwise(old)))
+    return float(chain.stationary[old[0]] * math.prod(chain.transition[a, b] for a, b in itertools.pairwise(old)))
 
 
 def _schedules(
-    p: Plan, clock: Clock, chain: Chain, length: int, taken: list[int]
+    p: Plan, clock: Clock, chain: Chain, length: int, instants: list[int]
 ) -> Callable[[tuple[int, ...]], Schedule]:
     """Return a function that gives the schedule of a mode: the events at every tick if the newest samples have its delays.
 
@@ -150,21 +148,22 @@ def _schedules(
     ticks, channels, error = p.cell.times.ticks, len(p.problem.noise_std), p.cell.times.error
 
     @cache
-    def in_turn(values: tuple[int, ...]) -> Schedule:
-        turns = tuple(chain.later[v] for v in values)
+    def repeating(values: tuple[int, ...]) -> Schedule:
+        turns = tuple(chain.delays[v] for v in values)
         return common_times.schedule(
-            common_times.samples([_sure(clock)._replace(turns=turns)], ticks), ticks, channels, error
+            common_times.samples([_without_delays(clock)._replace(turns=turns)], ticks), ticks, channels, error
         )
 
-    newest = np.searchsorted(taken, np.arange(ticks + 1), "right") - 1
+    newest = np.searchsorted(instants, np.arange(ticks + 1), "right") - 1
 
-    def by_interval(*each: NDArray[np.generic]) -> NDArray[np.generic]:  # arrays without a tick axis are common to all
-        return each[0] if len(each[0]) != ticks + 1 else np.stack(each)[newest % length, np.arange(ticks + 1)]
+    # arrays without a tick axis are common to all
+    def by_interval(*arrays: NDArray[np.generic]) -> NDArray[np.generic]:
+        return arrays[0] if len(arrays[0]) != ticks + 1 else np.stack(arrays)[newest % length, np.arange(ticks + 1)]
 
-    def of(mode: tuple[int, ...]) -> Schedule:
-        each = [in_turn(tuple(mode[(last - i) % length] for i in range(length))) for last in range(length)]
-        slots = max(one.arrive.shape[1] for one in each)
-        each = [common_times.pad_slots(one, slots) for one in each]
-        return jax.tree.map(by_interval, *each)
+    def schedule_of(mode: tuple[int, ...]) -> Schedule:
+        schedules = [repeating(tuple(mode[(last - i) % length] for i in range(length))) for last in range(length)]
+        slots = max(one.arrive.shape[1] for one in schedules)
+        schedules = [common_times.pad_slots(one, slots) for one in schedules]
+        return jax.tree.map(by_interval, *schedules)
 
-    return of
+    return schedule_of

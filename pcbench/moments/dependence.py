@@ -21,19 +21,19 @@ def reach(f: Callable[..., PyTree], *args: PyTree) -> PyTree:
 
     Arguments are arrays or their shapes. Both are indexed as by `jax.tree.leaves`.
     """
-    closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
-    out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
+    program, shape = jax.make_jaxpr(f, return_shape=True)(*args)
+    out = _through(program.jaxpr, [frozenset([i]) for i in range(len(program.jaxpr.invars))])
     return jax.tree.unflatten(jax.tree.structure(shape), out)
 
 
 def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
-    known: dict[PyTree, Found] = dict(zip(jaxpr.invars, args, strict=True))
+    by_variable: dict[PyTree, Found] = dict(zip(jaxpr.invars, args, strict=True))
 
     def of(v: PyTree) -> Found:
-        return NONE if isinstance(v, Literal) else known.get(v, NONE)
+        return NONE if isinstance(v, Literal) else by_variable.get(v, NONE)
 
     for eqn in jaxpr.eqns:
-        known.update(zip(eqn.outvars, _apply_equation(eqn, [of(v) for v in eqn.invars]), strict=True))
+        by_variable.update(zip(eqn.outvars, _apply_equation(eqn, [of(v) for v in eqn.invars]), strict=True))
     return [of(v) for v in jaxpr.outvars]
 
 
@@ -42,20 +42,20 @@ def _apply_equation(eqn: Eqn, args: list[Found]) -> list[Found]:
     if name in CALLS:
         return _through(jaxpr_compat.callee(eqn.params).jaxpr, args)
     if name == "cond":
-        each = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
-        return [args[0].union(*found) for found in zip(*each, strict=True)]
+        branches = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
+        return [args[0].union(*sets) for sets in zip(*branches, strict=True)]
     if name == "scan":
         s = jaxpr_compat.scan(eqn.params)
-        fixed, carried, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
-        return _again(lambda c: _through(s.body.jaxpr, [*fixed, *c, *rows]), carried)
+        consts, carry, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
+        return _to_fixed_point(lambda c: _through(s.body.jaxpr, [*consts, *c, *rows]), carry)
     return [NONE.union(*args)] * len(eqn.outvars)
 
 
-def _again(body: Callable[[list[Found]], list[Found]], carried: list[Found]) -> list[Found]:
+def _to_fixed_point(body: Callable[[list[Found]], list[Found]], carry: list[Found]) -> list[Found]:
     """Return the results of a body applied to its own first results until a fixed point is reached."""
     while True:
-        out = body(carried)
-        wider = [a | b for a, b in zip(carried, out, strict=False)]
-        if wider == carried:
-            return [*wider, *out[len(carried) :]]
-        carried = wider
+        out = body(carry)
+        wider = [a | b for a, b in zip(carry, out, strict=False)]
+        if wider == carry:
+            return [*wider, *out[len(carry) :]]
+        carry = wider

@@ -36,62 +36,62 @@ class Sums(NamedTuple):
     mean: Numbers  # [Z, C] at the last tick
     std: Numbers
     reach: Numbers  # [Z, C] the largest |m| + FAR s
-    apart: Numbers  # [Z, C] largest deviation of a run with noise from the linear maps
+    deviation: Numbers  # [Z, C] largest deviation of a run with noise from the linear maps
     size: Numbers  # [Z, C] largest number in that comparison, over the runs
     off: Numbers  # [2, r, C] of a closed loop
     cost: Numbers  # [2, C]
     input: Numbers  # [2, C]
 
 
-class Read(NamedTuple):
+class TickValues(NamedTuple):
     """The values that a tick adds to the sums; V numbers in the order of `RunSignals`."""
 
     runs: RunSignals  # [1 + P, ..., C]
     covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
-    moved: Array  # [P, V, C] linear prediction of the runs with noise, minus the run without
+    shifts: Array  # [P, V, C] linear prediction of the runs with noise, minus the run without
 
 
-def nothing(signals: int, targets: int, cells: int) -> Sums:
+def zero_sums(signals: int, targets: int, cells: int) -> Sums:
     """Return the sums before tick 0; `targets` of a closed loop, 0 of an open one."""
-    two, one, both = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells)), jnp.zeros((2, cells))
+    two, one, pair = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells)), jnp.zeros((2, cells))
     return Sums(
         square=two,
         absolute=two,
         mean=one,
         std=one,
         reach=one,
-        apart=one,
+        deviation=one,
         size=one,
         off=jnp.zeros((2, targets, cells)),
-        cost=both,
-        input=both,
+        cost=pair,
+        input=pair,
     )
 
 
-def relative_deviation(s: Sums, mine: slice, reached: ArrayLike = ()) -> NDArray[np.float64]:
+def relative_deviation(s: Sums, signals: slice, final_state: ArrayLike = ()) -> NDArray[np.float64]:
     """Return the relative deviation of runs with noise, [Z], in the worst realisation; 0 if it is rounding.
 
-    An error that is 0 except for the rounding of its state has no size to compare with. `reached` is that of `Outcome`, or ().
+    An error that is 0 except for the rounding of its state has no size for comparison. `final_state` is as in `Outcome`, or ().
     """
-    apart, size = (np.asarray(a)[mine].max(-1) for a in (s.apart, s.size))
+    deviation, size = (np.asarray(a)[signals].max(-1) for a in (s.deviation, s.size))
     with np.errstate(invalid="ignore"):
-        part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
-    part = np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
-    if np.size(reached):
-        state = np.asarray(reached)[0].max(-1)[: len(part)]
-        part[: len(state)][apart[: len(state)] <= AMPLIFIED * EPS * state] = 0.0
-    return part
+        ratio = np.where(deviation > 0, deviation / np.where(size > 0, size, 1.0), 0.0)
+    ratio = np.where(np.isfinite(deviation) & np.isfinite(size), ratio, np.inf)
+    if np.size(final_state):
+        state = np.asarray(final_state)[0].max(-1)[: len(ratio)]
+        ratio[: len(state)][deviation[: len(state)] <= AMPLIFIED * EPS * state] = 0.0
+    return ratio
 
 
-def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
+def add_tick(s: Sums, values: TickValues, counts: Array, weights: Weights | tuple[()], k: Array) -> Sums:
     """Add tick k to the sums; counts [2]: whether it counts for the run, and for the tail."""
-    c, runs, mean = read.covariance, read.runs.errors, read.runs.errors[0]
+    c, runs, mean = values.covariance, values.runs.errors, values.runs.errors[0]
     square = c[:, 0] if c.shape[1] == 1 else jnp.einsum("vvc->vc", c)
     Z = mean.shape[0]
     variance = square[:Z]
-    apart, large = (
+    deviation, large = (
         jnp.where(counts[0], reduce(jnp.maximum, jnp.abs(a)), 0.0)
-        for a in (runs[1:] - (mean[None] + read.moved[:, :Z]), runs)
+        for a in (runs[1:] - (mean[None] + values.shifts[:, :Z]), runs)
     )
     size = jnp.maximum(s.size, large)
     std = _root(variance, size)
@@ -101,10 +101,10 @@ def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k
         mean=jnp.where(counts[0], mean, s.mean),
         std=jnp.where(counts[0], std, s.std),
         reach=jnp.maximum(s.reach, jnp.where(counts[0], jnp.abs(mean) + FAR * std, 0.0)),
-        apart=jnp.maximum(s.apart, apart),
+        deviation=jnp.maximum(s.deviation, deviation),
         size=size,
     )
-    off, x, u = (a[0] for a in read.runs[1:])
+    off, x, u = (a[0] for a in values.runs[1:])
     if not len(x):
         return s
     first = Z + len(off)
@@ -119,9 +119,9 @@ def add_tick(s: Sums, read: Read, counts: Array, weights: Weights | tuple[()], k
     )
 
 
-def _over(counts: Array, sums: Numbers, each: Array) -> Numbers:
+def _over(counts: Array, sums: Numbers, numbers: Array) -> Numbers:
     """Return sums [2, ...] plus the numbers [...] of a tick where it counts; other numbers may be anything."""
-    return sums + jnp.where(counts.reshape(2, *(1 for _ in each.shape)), each[None], 0.0)
+    return sums + jnp.where(counts.reshape(2, *(1 for _ in numbers.shape)), numbers[None], 0.0)
 
 
 def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
@@ -135,13 +135,13 @@ def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Ar
 def _root(variance: Array, size: Array) -> Array:
     """Return standard deviations; where they are rounding relative to the numbers so far, without a slope."""
     std = jnp.sqrt(jnp.maximum(variance, 0.0))
-    known = variance > (STILL * size) ** 2
-    return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), lax.stop_gradient(std))
+    is_significant = variance > (STILL * size) ** 2
+    return jnp.where(is_significant, jnp.sqrt(jnp.where(is_significant, variance, 1.0)), lax.stop_gradient(std))
 
 
 def expected_size(mean: Array, std: Array) -> Array:
     """Return E |e| of a normal e: s sqrt(2/pi) exp(-m^2/2s^2) + m (1 - 2 Phi(-m/s)); |m| where s = 0."""
     varies = std > 0
-    far = mean / jnp.where(varies, std, 1.0)
-    normal = std * jnp.sqrt(2 / jnp.pi) * jnp.exp(-far * far / 2) + mean * erf(far / jnp.sqrt(2.0))
+    z = mean / jnp.where(varies, std, 1.0)
+    normal = std * jnp.sqrt(2 / jnp.pi) * jnp.exp(-z * z / 2) + mean * erf(z / jnp.sqrt(2.0))
     return jnp.where(varies, normal, jnp.abs(mean))

@@ -27,24 +27,25 @@ SQUARES = 1e-6  # relative to E e^2
 TRIFLE = 1e-4  # relative to the settling band: a smaller error counts as 0
 
 
-def lost(cell: CellMoments, label: str) -> str:
+def lack_of_digits(cell: CellMoments, label: str) -> str:
     """Return a clause about the state that leaves an observer's moments too few digits; empty if none does."""
-    if not np.size(cell.reached):
+    if not np.size(cell.final_state):
         return ""
-    p, s, mine = cell.planned, cell.sums, cell.signals[label]
-    size, deviation = np.asarray(cell.reached).max(-1)
-    n = min(len(size), mine.stop - mine.start)
-    state = slice(mine.start, mine.start + n)
+    p, s, signals = cell.planned, cell.sums, cell.signals[label]
+    size, deviation = np.asarray(cell.final_state).max(-1)
+    n = min(len(size), signals.stop - signals.start)
+    state = slice(signals.start, signals.start + n)
     size, deviation, band = size[:n], deviation[:n], np.asarray(p.problem.band)[:n]
     square = _steady_square(cell, state)
     with np.errstate(over="ignore", invalid="ignore"):
-        failed = (relative_deviation(s, mine) > ROUNDING).any()
-        trial = failed & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
+        not_affine = (relative_deviation(s, signals) > ROUNDING).any()
+        rounding_in_runs = not_affine & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
         squares = EPS * deviation**2 > SQUARES * square
-        bad = (trial & (EPS * size > ROUNDING * TRIFLE * band)) | (squares & (np.sqrt(EPS) * deviation > TRIFLE * band))
-    if not bad.any():
+        lacks_digits = rounding_in_runs & (EPS * size > ROUNDING * TRIFLE * band)
+        lacks_digits |= squares & (np.sqrt(EPS) * deviation > TRIFLE * band)
+    if not lacks_digits.any():
         return ""
-    i = int(np.argmax(np.where(bad, size, 0.0)))
+    i = int(np.argmax(np.where(lacks_digits, size, 0.0)))
     name, unit = signals_of(p.cell.scenario)[i]
     return (
         f"has too few digits for an exact answer: {name} reaches {amount(float(size[i]), unit)}, whose rounding in float64 is "
@@ -64,33 +65,34 @@ INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
 def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     """Return a sentence why an observer's moments are not exact at a grid point, and what to do; empty if they are."""
     p, s = cell.planned, cell.sums
-    mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
+    signals, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
-    if cell.refused:
-        return f"{where} {cell.refused}; {instead}."
-    if said := lost(cell, label):
-        return f"{where} {said}; shorten the horizon, or {instead}."
-    part = relative_deviation(s, mine, cell.reached)
-    worst = int(np.argmax(part))
-    failed = part[worst] > ROUNDING
-    alone = p.cell._replace(
+    if cell.refusal:
+        return f"{where} {cell.refusal}; {instead}."
+    if reason := lack_of_digits(cell, label):
+        return f"{where} {reason}; shorten the horizon, or {instead}."
+    ratio = relative_deviation(s, signals, cell.final_state)
+    worst = int(np.argmax(ratio))
+    not_affine = ratio[worst] > ROUNDING
+    draft_cell = p.cell._replace(
         options={label: p.cell.options[label]}
     )  # one observer: in a closed loop each has its own draft
-    kept = response_size(fit(list(drafts([alone])))[0], label) if p.layout.controller else None
-    if kept is not None:
-        n, apart = len(kept), np.asarray(s.apart)[mine].max(-1)
-        square = _steady_square(cell, slice(mine.start, mine.start + n))
-        rounding = (part[:n] > ROUNDING) & (apart[:n] <= AMPLIFIED * EPS * kept)
-        rounding |= (EPS * kept**2 > SQUARES * square) & (np.sqrt(EPS) * kept > TRIFLE * np.asarray(p.problem.band)[:n])
+    response = response_size(fit(list(drafts([draft_cell])))[0], label) if p.layout.controller else None
+    if response is not None:
+        n, deviation = len(response), np.asarray(s.deviation)[signals].max(-1)
+        square = _steady_square(cell, slice(signals.start, signals.start + n))
+        rounding = (ratio[:n] > ROUNDING) & (deviation[:n] <= AMPLIFIED * EPS * response)
+        size = np.sqrt(EPS) * response
+        rounding |= (EPS * response**2 > SQUARES * square) & (size > TRIFLE * np.asarray(p.problem.band)[:n])
         if rounding.any():
             return (
-                f"{where} {describe_response(p, kept, rounding)}, which leaves too few digits for an exact answer; shorten the "
-                f"horizon, take kf or ekf, or {instead}."
+                f"{where} {describe_response(p, response, rounding)}, which leaves too few digits for an exact answer; "
+                f"shorten the horizon, take kf or ekf, or {instead}."
             )
-    reach = s.reach[mine].max(-1)
-    bounded = np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()  # of the runs, if linear maps overflow
-    if failed and (np.isfinite(part[worst]) or bounded):
-        off = f"{part[worst]:.1g} of its size" if np.isfinite(part[worst]) else "more than a number can hold"
+    reach = s.reach[signals].max(-1)
+    finite = np.isfinite(reach).all() or np.isfinite(s.size[signals]).all()  # of the runs, if linear maps overflow
+    if not_affine and (np.isfinite(ratio[worst]) or finite):
+        off = f"{ratio[worst]:.1g} of its size" if np.isfinite(ratio[worst]) else "more than a number can hold"
         return (
             f"{where} is not affine in the noise: {names[worst]} is off by {off} where an affine observer is off by less than "
             f"{ROUNDING:.0e}; {instead}."
@@ -99,9 +101,9 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     beyond = ~(reach <= bound)
     if beyond.any():
         i = int(np.argmax(beyond))
-        far = f"reaches {reach[i]:.3g}" if np.isfinite(reach[i]) else "grows beyond what a number can hold"
+        extent = f"reaches {reach[i]:.3g}" if np.isfinite(reach[i]) else "grows beyond what a number can hold"
         return (
-            f"{where} may leave its bound: {names[i]} {far} within six standard deviations, expected at most "
+            f"{where} may leave its bound: {names[i]} {extent} within six standard deviations, expected at most "
             f"{bound[i]:.3g}, beyond which a run counts as diverged; {instead}."
         )
     return ""

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from pcbench.moments.affinity import ROUNDING, bend
 from pcbench.moments.error_sums import Sums
 from pcbench.moments.events import Shape
-from pcbench.moments.inputs import MomentInputs, own_of, stack_inputs
+from pcbench.moments.inputs import MomentInputs, is_per_cell, stack_inputs
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import compile_program
 from pcbench.moments.propagate import run
-from pcbench.moments.realisations import Realisation, draw_realisation, losses_alone, over_losses, random
+from pcbench.moments.realisations import Realisation, draw_realisation, only_losses_random, over_losses, random
 from pcbench.moments.solve import CellMoments, nan_sums
 from pcbench.planning.padding import Plan
 
@@ -40,8 +40,8 @@ class CellGradients(NamedTuple):
 
 def single(p: Plan) -> Realisation | None:
     """Return the realisation of a grid point with one observer; None if its moments need drawn schedules."""
-    mixed = over_losses(p) if losses_alone(p) else None
-    return mixed or (None if random(p) else draw_realisation(p, 0, 0))
+    realisation = over_losses(p) if only_losses_random(p) else None
+    return realisation or (None if random(p) else draw_realisation(p, 0, 0))
 
 
 def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyTree, list[Direction]], CellGradients]:
@@ -51,40 +51,44 @@ def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyT
     real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     width = directions + 1
     bare = one.problem._replace(gains={})
-    given = stack_inputs([bare] * width, [one.network] * width, [one.chance] * width)
+    stacked = stack_inputs([bare] * width, [one.network] * width, [one.chance] * width)
     every = jax.tree.map(lambda a: np.size(a) > 0, p.problem.gains[label])
-    flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
+    flags = jax.tree.unflatten(jax.tree.structure(stacked.problem), is_per_cell(bare))._replace(gains={label: every})
     shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
-    off = bend(p)
-    compiled: list[Callable[..., PyTree]] = []
+    deviation = bend(p)
+    programs: list[Callable[..., PyTree]] = []
 
-    def sums(given: MomentInputs, others: list[Array], reals: list[Array]) -> Sums:
-        left, right = iter(reals), iter(others)
-        gains = jax.tree.unflatten(tree, [next(left if mine else right) for mine in real])
-        problem = given.problem._replace(gains={label: gains})
-        return run(one.layout, shape, given._replace(problem=problem)).sums
+    def sums(inputs: MomentInputs, constants: list[Array], reals: list[Array]) -> Sums:
+        real_leaves, other_leaves = iter(reals), iter(constants)
+        gains = jax.tree.unflatten(tree, [next(real_leaves if is_real else other_leaves) for is_real in real])
+        problem = inputs.problem._replace(gains={label: gains})
+        return run(one.layout, shape, inputs._replace(problem=problem)).sums
 
-    def both(given: MomentInputs, others: list[Array], reals: list[Array], ways: list[Array]) -> tuple[Sums, Sums]:
-        return jax.jvp(partial(sums, given, others), (reals,), (ways,))
+    def sums_and_slopes(
+        inputs: MomentInputs, constants: list[Array], reals: list[Array], tangents: list[Array]
+    ) -> tuple[Sums, Sums]:
+        return jax.jvp(partial(sums, inputs, constants), (reals,), (tangents,))
 
-    def at(gains: PyTree, ways: list[Direction]) -> CellGradients:
-        if off > ROUNDING:
-            nothing = nan_sums(len(p.problem.band), off)
-            return CellGradients(_cell(p, one, nothing), nothing)
+    def gradients(gains: PyTree, directions: list[Direction]) -> CellGradients:
+        if deviation > ROUNDING:
+            nan = nan_sums(len(p.problem.band), deviation)
+            return CellGradients(_cell(p, one, nan), nan)
         leaves = [np.asarray(a) for a in jax.tree.leaves(gains)]
-        reals = [_stack_perturbed(a, width) for a, mine in zip(leaves, real, strict=True) if mine]
-        others = [np.stack([a] * width, -1) if a.size else a for a, mine in zip(leaves, real, strict=True) if not mine]
-        empty = [np.zeros_like(a) for a, mine in zip(leaves, real, strict=True) if mine]
-        tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
-        call = given, others, reals, tangents
-        if not compiled:
+        reals = [_stack_perturbed(a, width) for a, is_real in zip(leaves, real, strict=True) if is_real]
+        others = [a for a, is_real in zip(leaves, real, strict=True) if not is_real]
+        constants = [np.stack([a] * width, -1) if a.size else a for a in others]
+        empty = [np.zeros_like(a) for a, is_real in zip(leaves, real, strict=True) if is_real]
+        columns = zip(*directions, empty, strict=True)
+        tangents = [np.stack(column, -1) if column[0].size else column[0] for column in columns]
+        call = stacked, constants, reals, tangents
+        if not programs:
             about = one.layout, shape, label, real, jax.tree.map(np.shape, p.problem.gains[label])
-            compiled.append(compile_program(both, about, *call, returned=(Sums,)))
-        value, slopes = jax.tree.map(np.asarray, compiled[0](*call))
-        mine = jax.tree.map(lambda a: a[..., :1], value)
-        return CellGradients(_cell(p, one, mine), jax.tree.map(lambda a: a[..., :-1], slopes))
+            programs.append(compile_program(sums_and_slopes, about, *call, returned=(Sums,)))
+        value, slopes = jax.tree.map(np.asarray, programs[0](*call))
+        first = jax.tree.map(lambda a: a[..., :1], value)
+        return CellGradients(_cell(p, one, first), jax.tree.map(lambda a: a[..., :-1], slopes))
 
-    return at
+    return gradients
 
 
 def _stack_perturbed(a: NDArray[np.float64], width: int) -> NDArray[np.float64]:

@@ -55,7 +55,7 @@ class Mix(NamedTuple):
 
     source: Numbers  # [s, C]
     weight: Numbers  # [s, C]; 0: padding
-    here: Numbers  # [N+1, C] whether modes merge at a tick
+    merges: Numbers  # [N+1, C] whether modes merge at a tick
 
 
 class MomentInputs(NamedTuple):
@@ -75,23 +75,23 @@ class MomentInputs(NamedTuple):
 
 def plan_of(schedules: list[Schedule]) -> Plan:
     """Return schedules of one shape side by side."""
-    ticks, some = len(schedules[0].event), schedules[0].event.copy()
+    ticks, has_event = len(schedules[0].event), schedules[0].event.copy()
     for s in schedules[1:]:
-        some |= s.event
-    some[0] = True
-    at = np.flatnonzero(some)
+        has_event |= s.event
+    has_event[0] = True
+    at = np.flatnonzero(has_event)
     room = min(_room(len(at) + 1), ticks + 1)  # one after the last; few sizes, for few programs
     rows = np.pad(at, (0, room - len(at)))
-    each = {id(s): _events(s, rows) for s in schedules}  # grid points of a study share them
-    fields = zip(*(each[id(s)] for s in schedules), strict=True)
+    by_id = {id(s): _events(s, rows) for s in schedules}  # grid points of a study share them
+    fields = zip(*(by_id[id(s)] for s in schedules), strict=True)
     events = Event(*(np.stack(field, -1) for field in fields))
     at = np.pad(at, (0, room - len(at)), constant_values=NEVER)
     return Plan(at, events, np.stack([s.early for s in schedules], -1))
 
 
-def _room(many: int) -> int:
+def _room(count: int) -> int:
     """Return the least of 64, 256, 1024 ... that is large enough."""
-    return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= many)
+    return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= count)
 
 
 def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
@@ -108,7 +108,7 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
     )
 
 
-def own_of(problem: GridPointParams) -> tuple[bool, ...]:
+def is_per_cell(problem: GridPointParams) -> tuple[bool, ...]:
     """Return for each array of a problem without its schedule whether it is stored per grid point: small ones except TIMES."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     return tuple(may and 0 < np.size(a) <= SMALL for may, a in zip(_no_times(tree), leaves, strict=True))
@@ -121,18 +121,18 @@ def _no_times(tree: jax.tree_util.PyTreeDef) -> list[bool]:
     return [name not in TIMES for name, field in fields.items() for _ in jax.tree.leaves(field)]
 
 
-def shared_of(problem: GridPointParams, seen: dict[int, Hashable]) -> Hashable:
+def shared_of(problem: GridPointParams, digests: dict[int, Hashable]) -> Hashable:
     """Return what must be equal for grid points to share a batch: every array that is not stored per grid point.
 
-    `seen` caches digests of live arrays by id, as most arrays are common to all grid points.
+    `digests` caches digests of live arrays by id, as most arrays are common to all grid points.
     """
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
-    common = [a for a, own in zip(leaves, own_of(problem), strict=True) if not own]
+    common = [a for a, per_cell in zip(leaves, is_per_cell(problem), strict=True) if not per_cell]
     for a in common:
-        if id(a) not in seen:
+        if id(a) not in digests:
             numbers = np.asarray(a)
-            seen[id(a)] = numbers.shape, numbers.dtype.str, numbers.tobytes()
-    return tree, tuple(seen[id(a)] for a in common)
+            digests[id(a)] = numbers.shape, numbers.dtype.str, numbers.tobytes()
+    return tree, tuple(digests[id(a)] for a in common)
 
 
 def stack_inputs(
@@ -140,10 +140,10 @@ def stack_inputs(
 ) -> MomentInputs:
     """Return the parameters of grid points with the same long tables, side by side."""
     flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
-    own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
+    per_cell, tree = is_per_cell(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
     leaves = [
-        np.stack(each, -1) if mine else np.asarray(each[0])
-        for mine, each in zip(own, zip(*flat, strict=True), strict=True)
+        np.stack(arrays, -1) if is_separate else np.asarray(arrays[0])
+        for is_separate, arrays in zip(per_cell, zip(*flat, strict=True), strict=True)
     ]
     p, draw = problems[0], np.random.default_rng(KEY).normal
     every = len(p.process_std) + (len(p.network.std) if p.network else 0)
@@ -156,22 +156,22 @@ def stack_inputs(
         ticks=draw(size=(ticks, len(size), every)) * size[:, None],
         start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
         chance=np.array(chance),
-        network=tuple(np.stack(each, -1) for each in zip(*network, strict=True)),
+        network=tuple(np.stack(arrays, -1) for arrays in zip(*network, strict=True)),
     )
 
 
-def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, drawn: Array, rest: PyTree) -> Run:
-    """Return the state before tick 0 of one grid point; drawn [2 n], of mean 0 and variance 1, for plant and estimate."""
+def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, draws: Array, inputs: PyTree) -> Run:
+    """Return the state before tick 0 of one grid point; draws [2 n], of mean 0 and variance 1, for plant and estimate."""
     n = p.x0.shape[0]
-    x = p.x0 + p.spread0 @ drawn[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0
-    scatter = p.scatter * drawn[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # std of a uniform number in -1 .. 1
+    x = p.x0 + p.spread0 @ draws[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0
+    scatter = p.scatter * draws[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # std of a uniform number in -1 .. 1
     xhat0 = p.xhat0 + scatter
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     loop = before(layout, p, memories)
     return Run(
         x=x,
         memories=memories,
-        flight=Packet((), {}),  # packets in flight are in `events.Moving`
+        flight=Packet((), {}),  # packets in flight are in `events.BatchState`
         streams={},
         watches={},
         commands=loop.commands,

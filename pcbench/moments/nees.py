@@ -29,7 +29,7 @@ class FinalErrors(NamedTuple):
 class Squares(NamedTuple):
     """Expected normalized squares, by realisation."""
 
-    whole: Values  # [1, S] over the states that count, divided by the rank of P
+    nees: Values  # [1, S] over the states that count, divided by the rank of P
     signal: Values  # [n, S], NaN for a known state
     states: Values  # [1, S] the rank
 
@@ -37,14 +37,14 @@ class Squares(NamedTuple):
 def squares(b: FinalErrors) -> Squares:
     """Return the expected normalized squares."""
     second = b.covariance + b.mean[:, None] * b.mean[None]
-    whole, many = [], []
+    nees, ranks = [], []
     for s in range(b.P.shape[-1]):
         counts = _counts(b)[:, s]
-        mine = np.ix_(counts, counts)
-        trace, rank = _normalized_trace(b.P[..., s][mine], second[..., s][mine])
-        many.append(rank)
-        whole.append(trace / rank if rank else np.nan)
-    return Squares(np.array([whole]), _diagonal(second) / _variances(b), np.array([many], float))
+        block = np.ix_(counts, counts)
+        trace, rank = _normalized_trace(b.P[..., s][block], second[..., s][block])
+        ranks.append(rank)
+        nees.append(trace / rank if rank else np.nan)
+    return Squares(np.array([nees]), _diagonal(second) / _variances(b), np.array([ranks], float))
 
 
 def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
@@ -64,7 +64,7 @@ def inside(b: FinalErrors) -> list[Values]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = [[ndtr((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
     still = [np.where(np.isnan(sigma), np.nan, (np.abs(b.mean) <= k * sigma) * 1.0) for k in SIGMAS]
-    return [np.where(std > 0, high - low, alone) for (high, low), alone in zip(ends, still, strict=True)]
+    return [np.where(std > 0, high - low, noise_free) for (high, low), noise_free in zip(ends, still, strict=True)]
 
 
 def _counts(b: FinalErrors) -> np.ndarray:

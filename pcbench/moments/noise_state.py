@@ -36,11 +36,11 @@ Look = TypeVar("Look")
 class Form(NamedTuple):
     """Which parts of a layout's state noise reaches."""
 
-    moving: tuple[bool, ...]  # leaves of a state that noise reaches
-    other: tuple[bool, ...]  # leaves that differ between runs for another reason
+    noisy: tuple[bool, ...]  # leaves of a state that noise reaches
+    random: tuple[bool, ...]  # leaves that differ between runs for another reason
     flight: bool  # whether noise reaches packets in flight, in addition to the noise of the samples
-    many: int  # numbers of a state
-    reached: int  # size of the vector: numbers of a state that noise reaches
+    size: int  # numbers of a state
+    vector_size: int  # size of the vector: numbers of a state that noise reaches
 
 
 def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layout, GridPointParams], Look]:
@@ -48,7 +48,7 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 
     @lru_cache(256)
     def once(layout: Layout, tree: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> Look:
-        return look(layout, jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes]))
+        return look(layout, jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*shape) for shape in shapes]))
 
     def call(layout: Layout, problem: GridPointParams) -> Look:
         leaves, tree = jax.tree.flatten(problem._replace(weights=()))
@@ -62,27 +62,27 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 @by_shapes
 def form_of(layout: Layout, p: GridPointParams) -> Form:
     """Return which parts of a state noise reaches."""
-    begun = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
-    bare = begun._replace(
+    start = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    bare = start._replace(
         plant_draws=(), flight=(), streams={}, watches={}, tracking=(), effort=()
     )  # the parts that moments use
     leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs are LaneArrays
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     sizes = [a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves]
-    moving = tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True))
+    noisy = tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True))
     return Form(
-        moving=moving,
-        other=tuple(is_lanes(a) and not f for a, f in zip(leaves, floats, strict=True)),
-        flight=is_lanes(begun.x) or any(is_lanes(each) for each in begun.flight.notes.values()),
-        many=sum(sizes),
-        reached=sum(itertools.compress(sizes, moving)),
+        noisy=noisy,
+        random=tuple(is_lanes(a) and not f for a, f in zip(leaves, floats, strict=True)),
+        flight=is_lanes(start.x) or any(is_lanes(snapshot) for snapshot in start.flight.notes.values()),
+        size=sum(sizes),
+        vector_size=sum(itertools.compress(sizes, noisy)),
     )
 
 
 def vector(form: Form, state: Run) -> Array:
     """Return the vector of one grid point's state."""
-    each = itertools.compress(jax.tree.leaves(state), form.moving)
-    return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(a) for a in each)])
+    noisy = itertools.compress(jax.tree.leaves(state), form.noisy)
+    return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(a) for a in noisy)])
 
 
 def vectors(form: Form, runs: Run) -> Array:
@@ -94,34 +94,36 @@ def put(form: Form, state: Run, z: Array) -> Run:
     """Return the state with another vector."""
     leaves, tree = jax.tree.flatten(state)
     at, out = 0, []
-    for a, moves in zip(leaves, form.moving, strict=True):
+    for a, moves in zip(leaves, form.noisy, strict=True):
         out.append(z[at : at + a.size].reshape(a.shape) if moves else a)
         at += a.size if moves else 0
     return jax.tree.unflatten(tree, out)
 
 
 def along(form: Form, f: OneCell) -> OneCell:
-    """Return f with its derivative: (problem, tick, state, entering, rest, dz, d entering) -> (value, tangent)."""
+    """Return f with its derivative: (problem, tick, state, noise, inputs, dz, d noise) -> (value, tangent)."""
 
-    def both(p: PyTree, k: Array, state: Run, entering: Array, rest: PyTree, dz: Array, de: Array) -> PyTree:
-        def moved(z: Array, e: Array) -> PyTree:
-            return f(p, k, put(form, state, z), e, rest)
+    def value_and_tangent(
+        p: PyTree, k: Array, state: Run, noise: Array, inputs: PyTree, dz: Array, de: Array
+    ) -> PyTree:
+        def f_of_vector(z: Array, w: Array) -> PyTree:
+            return f(p, k, put(form, state, z), w, inputs)
 
-        return jax.jvp(moved, (vector(form, state), entering), (dz, de))
+        return jax.jvp(f_of_vector, (vector(form, state), noise), (dz, de))
 
-    return both
+    return value_and_tangent
 
 
 def slope(form: Form, f: OneCell, flat: Callable[[PyTree], Array]) -> OneCell:
-    """Return the matrix of f: (problem, tick, state, entering, rest) -> [size of f, size of state and entering]."""
+    """Return the matrix of f: (problem, tick, state, noise, inputs) -> [size of f, size of state and noise]."""
 
-    def matrix(p: PyTree, k: Array, state: Run, entering: Array, rest: PyTree) -> Array:
+    def matrix(p: PyTree, k: Array, state: Run, noise: Array, inputs: PyTree) -> Array:
         z = vector(form, state)
 
-        def moved(both: Array) -> Array:
-            return flat(f(p, k, put(form, state, both[: len(z)]), both[len(z) :], rest))
+        def f_of_vector(zw: Array) -> Array:
+            return flat(f(p, k, put(form, state, zw[: len(z)]), zw[len(z) :], inputs))
 
-        return jax.jacfwd(moved)(jnp.concatenate([z, entering]))
+        return jax.jacfwd(f_of_vector)(jnp.concatenate([z, noise]))
 
     return matrix
 
@@ -151,41 +153,42 @@ def both(move: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
     return transpose_cells(move(transpose_cells(move(P))))
 
 
-def steady(p: PyTree, own: tuple[bool, ...], f: OneCell, *each: PyTree) -> bool:
+def steady(p: PyTree, per_cell: tuple[bool, ...], f: OneCell, *args: PyTree) -> bool:
     """Return whether a function depends on p alone, so that it is the same at every tick and in every state.
 
-    `each` are its arguments other than p and the tick, for all grid points.
+    `args` are its arguments other than p and the tick, for all grid points.
     """
     leaves, tree = jax.tree.flatten(p)
-    alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
-    read = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
-    return max(read, default=-1) < len(own)  # arguments are p, the tick, then the others
+    shapes = [_cell_shape(a) if is_separate else a for a, is_separate in zip(leaves, per_cell, strict=True)]
+    tick = jax.ShapeDtypeStruct((), int)
+    dependence = reach(f, jax.tree.unflatten(tree, shapes), tick, *jax.tree.map(_cell_shape, args))
+    return max(dependence, default=-1) < len(per_cell)  # arguments are p, the tick, then the others
 
 
-def _alone(a: PyTree) -> PyTree:
+def _cell_shape(a: PyTree) -> PyTree:
     """Return the shape of one grid point's array."""
     return jax.ShapeDtypeStruct(a.shape[:-1], a.dtype)
 
 
 def over_cells(
-    p: PyTree, own: tuple[bool, ...], cells: int, written: bool
+    p: PyTree, per_cell: tuple[bool, ...], cells: int, entrywise: bool
 ) -> Callable[[OneCell], Callable[..., PyTree]]:
-    """Return a function that maps functions of one grid point over the last axis; arrays `own` of p are separate for each.
+    """Return a function that maps functions of one grid point over the last axis; arrays `per_cell` of p are separate for each.
 
-    If `written`, functions are evaluated entry by entry, which leaves no transposes to the compiled loop.
+    If `entrywise`, functions are evaluated entry by entry, which leaves no transposes to the compiled loop.
     """
-    axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if mine else None for mine in own])
-    parted = jax.tree.map(lambda a, axis: a if axis is None else split(a), p, axes) if written else ()
+    axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if is_separate else None for is_separate in per_cell])
+    lanes = jax.tree.map(lambda a, axis: a if axis is None else split(a), p, axes) if entrywise else ()
 
     def over(f: OneCell) -> Callable[..., PyTree]:
-        def by_entries(k: PyTree, *each: PyTree) -> PyTree:
-            found = interpreter.vmap_entrywise(f)(parted, k, *jax.tree.map(_entries, each))
-            return jax.tree.map(partial(_join_cells, cells), found, is_leaf=is_lanes)
+        def by_entries(k: PyTree, *args: PyTree) -> PyTree:
+            result = interpreter.vmap_entrywise(f)(lanes, k, *jax.tree.map(_entries, args))
+            return jax.tree.map(partial(_join_cells, cells), result, is_leaf=is_lanes)
 
-        def mapped(k: PyTree, *each: PyTree) -> PyTree:
-            return jax.vmap(f, (axes, None, *(-1 for _ in each)), -1)(p, k, *each)
+        def by_vmap(k: PyTree, *args: PyTree) -> PyTree:
+            return jax.vmap(f, (axes, None, *(-1 for _ in args)), -1)(p, k, *args)
 
-        return by_entries if written else mapped
+        return by_entries if entrywise else by_vmap
 
     return over
 

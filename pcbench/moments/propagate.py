@@ -24,8 +24,8 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.moments import error_sums
-from pcbench.moments.error_sums import Read, RunSignals, Sums
-from pcbench.moments.events import Batch, Moving, Shape, batch, happen, sense, take_samples
+from pcbench.moments.error_sums import RunSignals, Sums, TickValues
+from pcbench.moments.events import Batch, BatchState, Shape, batch, happen, sense, take_samples
 from pcbench.moments.inputs import SCALES, MomentInputs, Numbers, begin
 from pcbench.moments.noise_state import Form, along, outer_square, product, slope, steady, transpose_cells, vector
 from pcbench.simulation import command_network, innovation_stats, simulate_runs
@@ -53,9 +53,9 @@ class Last(NamedTuple):
 class PropagationState(NamedTuple):
     """The state of a propagation between ticks."""
 
-    moving: Moving
+    state: BatchState
     matrix: Array  # [A + V, A + w, C] of the last tick
-    product: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): the matrix is constant
+    probe: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): the matrix is constant
     sums: Sums
     rows: MomentRecord | tuple[()]
     last: Last | tuple[()]  # if the layout has consistency
@@ -67,147 +67,149 @@ class Outcome(NamedTuple):
     sums: Sums
     rows: MomentRecord | tuple[()]  # (): nothing recorded
     last: Last | tuple[()] = ()
-    unlike: Numbers | tuple[()] = ()  # [C] of modes, as in `events.Moving`
-    reached: (
+    unlike: Numbers | tuple[()] = ()  # [C] of modes, as in `events.BatchState`
+    final_state: (
         Array | tuple[()]
     ) = ()  # [2, n, C] of the final state: its size, and its deviation without the effect of the initial state
 
 
-def run(layout: Layout, shape: Shape, given: MomentInputs) -> Outcome:
+def run(layout: Layout, shape: Shape, inputs: MomentInputs) -> Outcome:
     """Return the moments of a batch of grid points over ticks 0 .. N - 1, or 0 .. N if recorded."""
-    by = batch(layout, shape, given)
-    plan, end = given.plan, given.problem.windows[-1, 1]
-    stop = end + 1 if shape.recorded else end
+    by = batch(layout, shape, inputs)
+    plan, end = inputs.plan, inputs.problem.windows[-1, 1]
+    stop = end + 1 if shape.record else end
 
     def segment(at: tuple[Array, PropagationState]) -> tuple[Array, PropagationState]:
         number, c = at
-        k, now = plan.at[number], jax.tree.map(lambda a: a[number], plan.events)
-        c = c._replace(moving=happen(by, k, now, c.moving, given.arrivals[k]))
+        k, event = plan.at[number], jax.tree.map(lambda a: a[number], plan.events)
+        c = c._replace(state=happen(by, k, event, c.state, inputs.arrivals[k]))
         until = jnp.minimum(plan.at[number + 1], stop)
         _, c = lax.while_loop(lambda at: at[0] < until, lambda at: (at[0] + 1, tick(by, *at)), (k, c))
         return number + 1, c
 
     _, c = lax.while_loop(lambda at: plan.at[at[0]] < stop, segment, (jnp.asarray(0), first(by)))
-    size = jnp.max(jnp.abs(c.moving.runs.x), 0)  # the state comes first in the vector
-    variance = jnp.einsum("ddc->dc", c.moving.P)[: len(size)] if shape.form.moving[0] else jnp.zeros_like(size)
-    reached = jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])
+    size = jnp.max(jnp.abs(c.state.runs.x), 0)  # the state comes first in the vector
+    variance = jnp.einsum("ddc->dc", c.state.P)[: len(size)] if shape.form.noisy[0] else jnp.zeros_like(size)
+    final_state = jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])
     rows = jax.tree.map(lambda a: a[:-1], c.rows)  # without the place for ticks that are not recorded
-    return Outcome(c.sums, rows, c.last, c.moving.unlike, reached)
+    return Outcome(c.sums, rows, c.last, c.state.unlike, final_state)
 
 
 def first(by: Batch) -> PropagationState:
     """Return the propagation state before tick 0; packets from before measure the initial state."""
-    given, shape, layout, p = by.given, by.shape, by.layout, by.given.problem
+    batch_inputs, shape, layout, p = by.inputs, by.shape, by.layout, by.inputs.problem
     cells, zero, form = shape.cells, jnp.asarray(0), shape.form
-    n, q, many = p.x0.shape[0], by.std.shape[0], len(SCALES)
-    drawn = jnp.broadcast_to(given.start[:, :, None], (many, 2 * n, cells))
+    n, q, n_scales = p.x0.shape[0], by.std.shape[0], len(SCALES)
+    draws = jnp.broadcast_to(batch_inputs.start[:, :, None], (n_scales, 2 * n, cells))
     start = partial(begin, layout)
-    entering = jnp.concatenate([jnp.zeros_like(drawn[:1]), drawn])
-    runs = jax.vmap(lambda e: by.over(start)(zero, (), e, ()))(entering)
+    starts = jnp.concatenate([jnp.zeros_like(draws[:1]), draws])
+    runs = jax.vmap(lambda e: by.over(start)(zero, (), e, ()))(starts)
 
-    def effects(p: GridPointParams, k: Array, state: PyTree, e: Array, rest: PyTree) -> Array:
+    def effects(p: GridPointParams, k: Array, state: PyTree, e: Array, inputs: PyTree) -> Array:
         return jax.jacfwd(lambda e: vector(form, start(p, k, (), e, ())))(e)
 
-    B = by.over(effects)(zero, (), entering[0], ())
+    B = by.over(effects)(zero, (), starts[0], ())
     mean = jax.tree.map(lambda a: a[0], runs)
     packet = by.over(partial(sense, layout))(zero, mean, jnp.zeros((0, cells)), ())
     places, f, A = layout.ring + 1, packet.shape[0], B.shape[0]
     D = A + places * f * form.flight
     random = [at for at in range(2 * n) if (layout.random_initial_state if at < n else layout.scattered)]
-    shifts = jnp.concatenate([jnp.sum(B[None] * drawn[:, None], 2), jnp.moveaxis(B[:, random], 1, 0)])
-    m = Moving(
+    shifts = jnp.concatenate([jnp.sum(B[None] * draws[:, None], 2), jnp.moveaxis(B[:, random], 1, 0)])
+    m = BatchState(
         runs=runs,
-        flight=jnp.zeros((1 + many, places, f, cells)),
+        flight=jnp.zeros((1 + n_scales, places, f, cells)),
         P=jnp.zeros((D, D, cells)),
-        apart=jnp.zeros((len(shifts), D, cells)).at[:, :A].set(shifts),
+        shifts=jnp.zeros((len(shifts), D, cells)).at[:, :A].set(shifts),
         unlike=jnp.zeros(cells),
     )
     m = take_samples(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (places, f, cells)))
-    for place in range(given.plan.early.shape[0]):
-        there = jnp.any(given.plan.early[place] >= 0, 0)
-        here = (jnp.arange(places)[:, None] == place) & (jnp.arange(f) < q)[None]
-        m = take_samples(by, zero, m, here[:, :, None] & there[None, None])
-    late = tuple(each[0] for each in given.network) if layout.pending else ()
-    none = jnp.zeros((given.ticks.shape[2], cells))
+    for place in range(batch_inputs.plan.early.shape[0]):
+        has_sample = jnp.any(batch_inputs.plan.early[place] >= 0, 0)
+        mask = (jnp.arange(places)[:, None] == place) & (jnp.arange(f) < q)[None]
+        m = take_samples(by, zero, m, mask[:, :, None] & has_sample[None, None])
+    network = tuple(stream[0] for stream in batch_inputs.network) if layout.pending else ()
+    none = jnp.zeros((batch_inputs.ticks.shape[2], cells))
     one, matrix = partial(one_cell, layout), _matrix(by)
-    _, seen = jax.eval_shape(by.over(one), zero, mean, none, late)
-    is_steady = steady(p, shape.own, slope(form, one, partial(flat, form)), mean, none, late)
-    new = jax.eval_shape(matrix, zero, mean, none, late)
-    M = matrix(zero, mean, none, late) if is_steady else jnp.zeros(new.shape)
-    shown = () if is_steady else jnp.full((len(M), cells), jnp.nan)
-    Z = len(seen.errors)
+    _, signals = jax.eval_shape(by.over(one), zero, mean, none, network)
+    is_steady = steady(p, shape.per_cell, slope(form, one, partial(flat, form)), mean, none, network)
+    new = jax.eval_shape(matrix, zero, mean, none, network)
+    M = matrix(zero, mean, none, network) if is_steady else jnp.zeros(new.shape)
+    probe = () if is_steady else jnp.full((len(M), cells), jnp.nan)
+    Z = len(signals.errors)
     rows: MomentRecord | tuple[()] = ()
     last: Last | tuple[()] = ()
-    if shape.recorded:
-        T = -(-len(given.arrivals) // shape.every) + 1  # one place more for ticks that are not recorded
-        rows = MomentRecord(
-            jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.recorded == COVARIANCE else 1, cells))
-        )
+    if shape.record:
+        T = -(-len(batch_inputs.arrivals) // shape.every) + 1  # one place more for ticks that are not recorded
+        rows = MomentRecord(jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.record == COVARIANCE else 1, cells)))
     if layout.consistency:
         assumed = jax.eval_shape(by.over(partial(_assumed_covariances, layout)), zero, mean, jnp.zeros((0, cells)), ())
         last = Last(jnp.zeros((Z, Z, cells)), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), assumed))
-    return PropagationState(m, M, shown, error_sums.nothing(Z, len(seen.off), cells), rows, last)
+    return PropagationState(m, M, probe, error_sums.zero_sums(Z, len(signals.off), cells), rows, last)
 
 
 def tick(by: Batch, k: Array, c: PropagationState) -> PropagationState:
     """Propagate one tick of all grid points: estimate, control and flow, with the sums."""
-    given, shape, layout, m, w = by.given, by.shape, by.layout, c.moving, by.given.ticks[k]
-    late = tuple(each[k // given.problem.network.every] for each in given.network) if layout.pending else ()
+    batch_inputs, shape, layout, m, w = by.inputs, by.shape, by.layout, c.state, by.inputs.ticks[k]
+    network = (
+        tuple(stream[k // batch_inputs.problem.network.every] for stream in batch_inputs.network)
+        if layout.pending
+        else ()
+    )
     noise = jnp.broadcast_to(w[:, :, None], (*w.shape, shape.cells))
-    runs, seen, M, shown = _flow(by, k, m.runs, jnp.concatenate([jnp.zeros_like(noise[:1]), noise]), late, c)
-    A, Z = M.shape[1] - w.shape[1], seen.errors.shape[1]
+    runs, signals, M, probe = _flow(by, k, m.runs, jnp.concatenate([jnp.zeros_like(noise[:1]), noise]), network, c)
+    A, Z = M.shape[1] - w.shape[1], signals.errors.shape[1]
     N, M_z, S = M[:, A:], M[:, :A], M[A:, :A]
-    apart = jax.vmap(lambda d: product(M_z, d[:A, None])[:, 0])(m.apart)
-    apart = apart.at[: len(w)].add(jnp.sum(N[None] * w[:, None, :, None], 2))
-    X, start = product(M_z, m.P[:A]), jnp.moveaxis(apart[len(w) :, A:], 0, 1)
-    if shape.recorded == COVARIANCE or layout.consistency or layout.controller:
+    shifts = jax.vmap(lambda d: product(M_z, d[:A, None])[:, 0])(m.shifts)
+    shifts = shifts.at[: len(w)].add(jnp.sum(N[None] * w[:, None, :, None], 2))
+    X, start = product(M_z, m.P[:A]), jnp.moveaxis(shifts[len(w) :, A:], 0, 1)
+    if shape.record == COVARIANCE or layout.consistency or layout.controller:
         covariance = product(X[A:, :A], transpose_cells(S)) + outer_square(N[A:]) + outer_square(start)
     else:  # variances only
         covariance = (jnp.sum(X[A:, :A] * S, 1) + jnp.sum(N[A:] ** 2, 1) + jnp.sum(start**2, 1))[:, None]
     P = m.P.at[:A, :A].set(product(X[:A, :A], transpose_cells(M_z[:A])) + outer_square(N[:A]))
     if len(P) > A:  # packets in flight do not change
         P = P.at[:A, A:].set(X[:A, A:]).at[A:, :A].set(transpose_cells(X[:A, A:]))
-    read, p = Read(seen, covariance, apart[: len(w), A:]), given.problem
+    values, p = TickValues(signals, covariance, shifts[: len(w), A:]), batch_inputs.problem
     rows, last = c.rows, c.last
     if rows:
         row = jnp.where(k % shape.every == 0, k // shape.every, len(rows.mean) - 1)
-        new = MomentRecord(seen.errors[0], covariance[:Z, : rows.covariance.shape[2]])
-        rows = jax.tree.map(lambda room, a: room.at[row].set(a), rows, new)
+        new = MomentRecord(signals.errors[0], covariance[:Z, : rows.covariance.shape[2]])
+        rows = jax.tree.map(lambda table, a: table.at[row].set(a), rows, new)
     if layout.consistency:
-        here, mean = jnp.zeros((0, shape.cells)), jax.tree.map(lambda a: a[0], m.runs)
+        no_noise, mean = jnp.zeros((0, shape.cells)), jax.tree.map(lambda a: a[0], m.runs)
         last = lax.cond(
             k == p.windows[-1, 1] - 1,
-            lambda: Last(covariance[:Z, :Z], by.over(partial(_assumed_covariances, layout))(k, mean, here, ())),
+            lambda: Last(covariance[:Z, :Z], by.over(partial(_assumed_covariances, layout))(k, mean, no_noise, ())),
             lambda: c.last,
         )
     counts = jnp.stack([k < p.windows[-1, 1], (k < p.windows[-1, 1]) & (k >= p.windows[0, 1])])
-    sums = error_sums.add_tick(c.sums, read, counts, p.weights, k)
+    sums = error_sums.add_tick(c.sums, values, counts, p.weights, k)
     return PropagationState(
-        m._replace(runs=runs, apart=m.apart.at[:, :A].set(apart[:, :A]), P=P), M, shown, sums, rows, last
+        m._replace(runs=runs, shifts=m.shifts.at[:, :A].set(shifts[:, :A]), P=P), M, probe, sums, rows, last
     )
 
 
 def _flow(
-    by: Batch, k: Array, runs: Run, noise: Array, late: tuple[Array, ...], c: PropagationState
+    by: Batch, k: Array, runs: Run, noise: Array, network: tuple[Array, ...], c: PropagationState
 ) -> tuple[Run, RunSignals, Array, Array | tuple[()]]:
     """Return the runs after a tick, their signals, the tick's matrix, and the product that shows whether it changed."""
     form, one = by.shape.form, partial(one_cell, by.layout)
-    if isinstance(c.product, tuple):
-        return *jax.vmap(lambda state, w: by.over(one)(k, state, w, late))(runs, noise), c.matrix, ()
-    many, cells = c.matrix.shape[1:]
-    A = many - noise.shape[1]
-    fixed = jnp.asarray(np.random.default_rng(many).normal(size=many))
-    fixed = jnp.broadcast_to(fixed[:, None], (many, cells))
-    (new, seen), tangent = jax.vmap(
-        lambda state, w: by.over(along(form, one))(k, state, w, late, fixed[:A], fixed[A:])
+    if isinstance(c.probe, tuple):
+        return *jax.vmap(lambda state, w: by.over(one)(k, state, w, network))(runs, noise), c.matrix, ()
+    size, cells = c.matrix.shape[1:]
+    A = size - noise.shape[1]
+    direction = jnp.asarray(np.random.default_rng(size).normal(size=size))
+    direction = jnp.broadcast_to(direction[:, None], (size, cells))
+    (new, signals), tangent = jax.vmap(
+        lambda state, w: by.over(along(form, one))(k, state, w, network, direction[:A], direction[A:])
     )(runs, noise)
-    shown = jax.vmap(partial(flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
+    probe = jax.vmap(partial(flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
     M = lax.cond(
-        jnp.any(shown != c.product),
-        lambda: _matrix(by)(k, jax.tree.map(lambda a: a[0], runs), noise[0], late),
+        jnp.any(probe != c.probe),
+        lambda: _matrix(by)(k, jax.tree.map(lambda a: a[0], runs), noise[0], network),
         lambda: c.matrix,
     )
-    return new, seen, M, shown
+    return new, signals, M, probe
 
 
 def _matrix(by: Batch) -> Callable[..., Array]:
@@ -216,13 +218,13 @@ def _matrix(by: Batch) -> Callable[..., Array]:
 
 
 def one_cell(
-    layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, late: tuple[Array, ...]
+    layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, network: tuple[Array, ...]
 ) -> tuple[Run, RunSignals]:
     """Propagate one grid point by one tick with `simulate_runs.advance`, and return its signals."""
     process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
-    command = command_network.CommandDraws(late[0], late[1], noise[process:]) if layout.pending else ()
+    command = command_network.CommandDraws(network[0], network[1], noise[process:]) if layout.pending else ()
 
-    def read(k: Array, run: Run) -> RunSignals:
+    def signals_of(k: Array, run: Run) -> RunSignals:
         return RunSignals(
             errors=jnp.concatenate([e for _, e in sorted(simulate_runs.errors(layout, p, p.params, k, run).items())]),
             off=off_target(loop, p, k, run.x) if loop else none,
@@ -230,17 +232,17 @@ def one_cell(
             u=add_command_noise(present(p, k, True, run.commands), run.commands).u if loop else none,
         )
 
-    new, seen = simulate_runs.advance(layout, p, p.params, k, run, noise[:process], command, read)
-    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, run), seen
+    new, signals = simulate_runs.advance(layout, p, p.params, k, run, noise[:process], command, signals_of)
+    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, run), signals
 
 
-def flat(form: Form, state_and_seen: tuple[Run, RunSignals]) -> Array:
+def flat(form: Form, state_and_signals: tuple[Run, RunSignals]) -> Array:
     """Return the vector of the state, followed by all signals."""
-    return jnp.concatenate([vector(form, state_and_seen[0]), *state_and_seen[1]])
+    return jnp.concatenate([vector(form, state_and_signals[0]), *state_and_signals[1]])
 
 
 def _assumed_covariances(
-    layout: Layout, p: GridPointParams, k: Array, run: Run, nothing: Array, rest: tuple[()]
+    layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, inputs: tuple[()]
 ) -> dict[str, Array]:
     """Return the covariances that the observers of one grid point assume at tick k."""
     return innovation_stats.covariances(layout, p, k, run.memories, run.commands)

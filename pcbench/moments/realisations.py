@@ -30,7 +30,7 @@ class Mode(NamedTuple):
     share: float  # its probability
     source: tuple[int, ...]  # the modes that may precede it
     weight: tuple[float, ...]  # and their probabilities
-    merged: NDArray[np.bool_]  # [N+1] ticks at which it follows them
+    merge_ticks: NDArray[np.bool_]  # [N+1] ticks at which it follows them
 
 
 class Realisation(NamedTuple):
@@ -45,8 +45,8 @@ class Realisation(NamedTuple):
 
 def random(p: Plan) -> bool:
     """Return whether runs of a grid point differ in more than their noise."""
-    sent = p.problem.network
-    network = bool(sent) and (sent.jitter > 0 or sent.loss > 0)
+    commands = p.problem.network
+    network = bool(commands) and (commands.jitter > 0 or commands.loss > 0)
     return isinstance(p.problem.schedule, ClockParams) or p.layout.drifting or network
 
 
@@ -69,15 +69,15 @@ def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
 
 
 @lru_cache(1024)
-def _drift(root_seed: int, seed: int, many: int) -> Array:
-    """Return the random numbers [many] of one run's plant, the same at all grid points; cached, as drawing them takes 6 ms."""
-    return rng.uniforms(jnp.asarray(root_seed), jnp.asarray([seed]), "drift", jnp.asarray(0), 1, many)[0][:, 0]
+def _drift(root_seed: int, seed: int, count: int) -> Array:
+    """Return the random numbers [count] of one run's plant, the same at all grid points; cached, as drawing them takes 6 ms."""
+    return rng.uniforms(jnp.asarray(root_seed), jnp.asarray([seed]), "drift", jnp.asarray(0), 1, count)[0][:, 0]
 
 
-def losses_alone(p: Plan) -> bool:
+def only_losses_random(p: Plan) -> bool:
     """Return whether independent losses of one sensor are all that is random in addition to the noise."""
-    clocks, sent = p.cell.times.clocks, p.problem.network
-    if len(clocks) > 1 or not clocks[0].loss or clocks[0].burst or p.layout.drifting or sent:
+    clocks, commands = p.cell.times.clocks, p.problem.network
+    if len(clocks) > 1 or not clocks[0].loss or clocks[0].burst or p.layout.drifting or commands:
         return False
     return not clocks[0]._replace(loss=0.0).random
 
@@ -89,13 +89,13 @@ def over_losses(p: Plan) -> Realisation | None:
     the observer uses the time of the last arrival. Its moments are then averaged over drawn schedules.
     """
     clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
-    sure = common_times.schedule(
+    lossless = common_times.schedule(
         common_times.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
     )
-    one = p.problem._replace(schedule=sure)
+    one = p.problem._replace(schedule=lossless)
     layout = p.layout._replace(width=1, watch=False)
-    form, drawn = form_of(layout, one), form_of(layout, p.problem)
-    if (drawn.moving, drawn.other) != (form.moving, form.other) or any(form.other) or asks_last_arrival(layout, one):
+    form, lossy = form_of(layout, one), form_of(layout, p.problem)
+    if (lossy.noisy, lossy.random) != (form.noisy, form.random) or any(form.random) or asks_last_arrival(layout, one):
         return None
-    ring = max(layout.ring, common_times.in_flight(sure))
+    ring = max(layout.ring, common_times.in_flight(lossless))
     return Realisation(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from pcbench.engine import runner
 from pcbench.moments.affinity import ROUNDING, bend, is_curved, refusal_beforehand
 from pcbench.moments.delay_modes import over_modes
-from pcbench.moments.error_sums import Sums, nothing, relative_deviation
+from pcbench.moments.error_sums import Sums, relative_deviation, zero_sums
 from pcbench.moments.inputs import Numbers, shared_of
 from pcbench.moments.nees import FinalErrors
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import MANY, compute, width_of
 from pcbench.moments.propagate import MomentRecord, Outcome
-from pcbench.moments.realisations import Realisation, draw_realisation, losses_alone, over_losses, random
+from pcbench.moments.realisations import Realisation, draw_realisation, only_losses_random, over_losses, random
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.runtime import thread_pools
@@ -43,7 +43,7 @@ class MomentRequest(NamedTuple):
 
     root_seed: int
     schedules: int  # realisations of a random grid point: the first seeds
-    recorded: str = ""  # nothing, "std" or "covariance" over time
+    record: str = ""  # nothing, "std" or "covariance" over time
     points: int = 0  # approximate number of recorded ticks; 0: every tick
 
     def every(self, ticks: int) -> int:
@@ -62,10 +62,10 @@ class CellMoments(NamedTuple):
     last: dict[str, FinalErrors] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, distributions are not normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
-    reached: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
+    final_state: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
     # [S] probabilities of the modes in `last`; None: realisations have equal weight
     shares: NDArray[np.float64] | None = None
-    refused: str = ""  # clause why there are no exact moments, if that is known without them
+    refusal: str = ""  # clause why there are no exact moments, if that is known without them
 
 
 class Work(NamedTuple):
@@ -77,11 +77,11 @@ class Work(NamedTuple):
     trial: bool  # whether drawn schedules may still be needed after these
     bend: float
     calls: list[tuple[Future[Outcome], int]]  # with the index of each realisation in its call
-    refused: str  # clause why there are no exact moments, if that is known without them
+    refusal: str  # clause why there are no exact moments, if that is known without them
 
 
-def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
-    """Yield grid points ready to run, one per observer unless `together`.
+def plan_cells(cells: list[Cell], joint: bool = False) -> Iterator[Plan]:
+    """Yield grid points ready to run, one per observer unless `joint`.
 
     They have one of two ring sizes, for few programs. If noise reaches packets in flight, the ring has the size that the grid
     point needs, as the covariance covers the whole ring.
@@ -94,18 +94,18 @@ def plan_cells(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     most = max(map(ring, cells))
     least = PACKETS if len(cells) > WINDOW else most  # with this many grid points another program pays off
     for p in padding.check_drafts(drafts(cells)):
-        room, own = padding.room_of(p), ring(p.cell)
-        fitted = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
-        layout = fitted.layout
-        places = power_of_2(own if _flight(fitted) else most if own > least else min(most, least))
+        room, packets = padding.room_of(p), ring(p.cell)
+        plan = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
+        layout = plan.layout
+        places = power_of_2(packets if _flight(plan) else most if packets > least else min(most, least))
         layout = layout._replace(ring=max(room.ring, places))
-        if together:
-            yield fitted._replace(layout=layout)
+        if joint:
+            yield plan._replace(layout=layout)
             continue
         for label, (name, observer) in zip(p.labels, layout.observers, strict=True):
-            problem = fitted.problem._replace(gains={ALONE: fitted.problem.gains[name]})
-            alone = layout._replace(observers=((ALONE, observer),))
-            yield fitted._replace(layout=alone, problem=problem, labels=(label,))
+            problem = plan.problem._replace(gains={ALONE: plan.problem.gains[name]})
+            single = layout._replace(observers=((ALONE, observer),))
+            yield plan._replace(layout=single, problem=problem, labels=(label,))
 
 
 def _flight(p: Plan) -> bool:
@@ -114,53 +114,55 @@ def _flight(p: Plan) -> bool:
     return form_of(p.layout._replace(drifting=drifting), p.problem).flight
 
 
-def solve(plans: Iterable[Plan], asked: MomentRequest) -> Iterator[CellMoments]:
+def solve(plans: Iterable[Plan], request: MomentRequest) -> Iterator[CellMoments]:
     """Yield the moments of each planned grid point, in order."""
     unlike, wide = set[Hashable](), set[Hashable]()  # local: earlier results must not change any bit
     with thread_pools.pool(runner.cores()) as threads:
-        before: list[Work] = []
-        for window in _windows(plans, asked, unlike):
-            _submit(threads, window, asked, wide)
-            yield from (_moments(work, asked, unlike) for work in before)
-            before = window
-        yield from (_moments(work, asked, unlike) for work in before)
+        previous: list[Work] = []
+        for window in _windows(plans, request, unlike):
+            _submit(threads, window, request, wide)
+            yield from (_moments(work, request, unlike) for work in previous)
+            previous = window
+        yield from (_moments(work, request, unlike) for work in previous)
 
 
-def _windows(plans: Iterable[Plan], asked: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
+def _windows(plans: Iterable[Plan], request: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
     """Yield grid points with their realisations, one window at a time; kinds in `unlike` do not use modes."""
     window: list[Work] = []
-    many = 0  # realisations in the window
+    count = 0  # realisations in the window
     for p in plans:
-        off = bend(p)
-        refused = refusal_beforehand(p)
-        ones, drawn, trial = ([], False, False) if refused or off > ROUNDING else _realisations(p, asked, unlike)
-        window.append(Work(p, ones, drawn, trial, bend=off, calls=[], refused=refused))
-        many += len(ones)
-        if many >= WINDOW:
+        deviation = bend(p)
+        reason = refusal_beforehand(p)
+        may_be_exact = not (reason or deviation > ROUNDING)
+        ones, is_drawn, trial = _realisations(p, request, unlike) if may_be_exact else ([], False, False)
+        window.append(Work(p, ones, is_drawn, trial, bend=deviation, calls=[], refusal=reason))
+        count += len(ones)
+        if count >= WINDOW:
             yield window
-            window, many = [], 0
+            window, count = [], 0
     yield window
 
 
-def _realisations(p: Plan, asked: MomentRequest, unlike: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
+def _realisations(p: Plan, request: MomentRequest, unlike: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
     """Return the realisations of a grid point, whether schedules are drawn, and whether this is a trial.
 
     There is one realisation, one per mode, or one per drawn schedule. A trial has only the first drawn schedule.
     """
-    alone = len(p.layout.observers) == 1
-    if alone and _kind(p) not in unlike and (modes := over_modes(p)):
+    is_single = len(p.layout.observers) == 1
+    if is_single and _kind(p) not in unlike and (modes := over_modes(p)):
         return modes, False, True
-    if alone and losses_alone(p) and (mixed := over_losses(p)):
-        return [mixed], False, False
-    first, drawn = draw_realisation(p, asked.root_seed, 0), random(p)
-    if alone and drawn and asked.schedules > 1 and is_curved(first.layout, first.problem):
+    if is_single and only_losses_random(p) and (realisation := over_losses(p)):
+        return [realisation], False, False
+    first, is_drawn = draw_realisation(p, request.root_seed, 0), random(p)
+    if is_single and is_drawn and request.schedules > 1 and is_curved(first.layout, first.problem):
         return [first], True, True
-    return [first, *_draw_realisations(p, asked, 1)], drawn, False
+    return [first, *_draw_realisations(p, request, 1)], is_drawn, False
 
 
-def _draw_realisations(p: Plan, asked: MomentRequest, first: int) -> list[Realisation]:
+def _draw_realisations(p: Plan, request: MomentRequest, first: int) -> list[Realisation]:
     """Return a random grid point on its drawn schedules, from seed `first` on."""
-    return [draw_realisation(p, asked.root_seed, seed) for seed in range(first, asked.schedules)] if random(p) else []
+    seeds = range(first, request.schedules) if random(p) else ()
+    return [draw_realisation(p, request.root_seed, seed) for seed in seeds]
 
 
 def _kind(p: Plan) -> Hashable:
@@ -168,14 +170,14 @@ def _kind(p: Plan) -> Hashable:
     return p.layout.observers, jax.tree.structure(p.problem)
 
 
-def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentRequest, wide: set[Hashable]) -> None:
+def _submit(threads: ThreadPoolExecutor, window: list[Work], request: MomentRequest, wide: set[Hashable]) -> None:
     """Submit the realisations of some grid points, grouped by kind; all modes of a grid point share a call."""
     groups: dict[Hashable, list[tuple[Work, Realisation]]] = {}
-    seen: dict[int, Hashable] = {}
+    digests: dict[int, Hashable] = {}
 
     def call(group: list[tuple[Work, Realisation]]) -> None:
         ones = [one for _, one in group]
-        future = threads.submit(runner.in_float64, _compute, ones, asked, width_of(ones, wide))
+        future = threads.submit(runner.in_float64, _compute, ones, request, width_of(ones, wide))
         for at, (work, _) in enumerate(group):
             work.calls.append((future, at))
 
@@ -183,64 +185,64 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], asked: MomentReques
         share = len(work.ones) if work.ones and work.ones[0].mode else 1
         for first in range(0, len(work.ones), share):
             one = work.ones[first]
-            key = one.layout, shared_of(one.problem, seen), one.mode is not None
+            key = one.layout, shared_of(one.problem, digests), one.mode is not None
             if len(groups.get(key, [])) + share > MANY:
                 call(groups.pop(key))
-            groups.setdefault(key, []).extend((work, each) for each in work.ones[first : first + share])
+            groups.setdefault(key, []).extend((work, realisation) for realisation in work.ones[first : first + share])
     for group in groups.values():
         call(group)
 
 
-def _compute(ones: list[Realisation], asked: MomentRequest, width: int | None = None) -> Outcome:
-    return compute(ones, asked.recorded, asked.every(int(ones[0].problem.windows[-1, 1])), width)
+def _compute(ones: list[Realisation], request: MomentRequest, width: int | None = None) -> Outcome:
+    return compute(ones, request.record, request.every(int(ones[0].problem.windows[-1, 1])), width)
 
 
-def _moments(work: Work, asked: MomentRequest, unlike: set[Hashable]) -> CellMoments:
+def _moments(work: Work, request: MomentRequest, unlike: set[Hashable]) -> CellMoments:
     """Return the moments of a grid point, on all drawn schedules if a trial gave no answer."""
     p = work.planned
     if not work.ones:
         return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
-    each = [jax.tree.map(lambda a, at=at: a[..., at : at + 1], future.result()) for future, at in work.calls]
-    if work.trial and not _is_answered(work, each):
+    outcomes = [jax.tree.map(lambda a, at=at: a[..., at : at + 1], future.result()) for future, at in work.calls]
+    if work.trial and not _is_sufficient(work, outcomes):
         if work.ones[0].mode:
             unlike.add(_kind(p))
-        work, each = work._replace(ones=_draw_realisations(p, asked, 0), random=True), []
+        work, outcomes = work._replace(ones=_draw_realisations(p, request, 0), random=True), []
         for first in range(0, len(work.ones), MANY):
             ones = work.ones[first : first + MANY]
-            outcome, many = runner.in_float64(_compute, ones, asked), len(ones)
-            each.append(jax.tree.map(lambda a, many=many: a[..., :many], outcome))
-    return _gather(work, each)
+            outcome, count = runner.in_float64(_compute, ones, request), len(ones)
+            outcomes.append(jax.tree.map(lambda a, count=count: a[..., :count], outcome))
+    return _gather(work, outcomes)
 
 
-def _is_answered(work: Work, each: list[Outcome]) -> bool:
+def _is_sufficient(work: Work, outcomes: list[Outcome]) -> bool:
     """Return whether the results are sufficient: the modes merged consistently, or the trial showed that nothing is exact."""
     if work.ones[0].mode:
-        return bool(max(np.max(outcome.unlike) for outcome in each) <= ROUNDING)
-    (outcome,) = each
-    return bool((relative_deviation(outcome.sums, slice(None), outcome.reached) > ROUNDING).any())
+        return bool(max(np.max(outcome.unlike) for outcome in outcomes) <= ROUNDING)
+    (outcome,) = outcomes
+    return bool((relative_deviation(outcome.sums, slice(None), outcome.final_state) > ROUNDING).any())
 
 
-def nan_sums(signals: int, off: float) -> Sums:
+def nan_sums(signals: int, deviation: float) -> Sums:
     """Return the sums of a grid point that was not computed: only its deviation from affine."""
-    nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), nothing(signals, 0, 1))
-    return nan._replace(apart=np.full((signals, 1), off), size=np.ones((signals, 1)))
+    nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), zero_sums(signals, 0, 1))
+    return nan._replace(deviation=np.full((signals, 1), deviation), size=np.ones((signals, 1)))
 
 
-def _gather(work: Work, each: list[Outcome]) -> CellMoments:
+def _gather(work: Work, outcomes: list[Outcome]) -> CellMoments:
     """Return the moments of one grid point from its realisations."""
     p, modes = work.planned, [one.mode for one in work.ones if one.mode]
-    outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *each) if len(each) > 1 else each[0]
+    outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *outcomes) if len(outcomes) > 1 else outcomes[0]
     shares = np.array([mode.share for mode in modes]) if modes else None
     labels = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
     at, signals = 0, {}
-    for name, many in sorted(_signals(p).items()):
-        signals[labels[name]] = slice(at, at + many)
-        at += many
+    for name, count in sorted(_signals(p).items()):
+        signals[labels[name]] = slice(at, at + count)
+        at += count
     n, last = len(p.problem.x0), {}
     if outcome.last:
         for name, P in outcome.last.assumed.items():
-            mine = slice(signals[labels[name]].start, signals[labels[name]].start + n)
-            true = np.asarray(outcome.sums.mean[mine]), np.asarray(outcome.last.covariance[mine, mine])
+            states = slice(signals[labels[name]].start, signals[labels[name]].start + n)
+            true = np.asarray(outcome.sums.mean[states]), np.asarray(outcome.last.covariance[states, states])
             last[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
     total = outcome if shares is None else _over_modes(outcome, shares)
     return CellMoments(
@@ -251,23 +253,23 @@ def _gather(work: Work, each: list[Outcome]) -> CellMoments:
         rows=total.rows,
         last=last,
         mixture=shares is not None or any(one.chance < 1 for one in work.ones),
-        reached=outcome.reached,
+        final_state=outcome.final_state,
         shares=shares,
-        refused=work.refused,
+        refusal=work.refusal,
     )
 
 
 def _signals(p: Plan) -> dict[str, int]:
     """Return the number of signals that each observer of a planned grid point estimates."""
-    n, own = len(p.problem.x0), p.layout.plant.scored
-    if n + own == len(p.problem.band):
-        return {name: n + own for name, _ in p.layout.observers}
+    n, user_defined = len(p.problem.x0), p.layout.plant.scored
+    if n + user_defined == len(p.problem.band):
+        return {name: n + user_defined for name, _ in p.layout.observers}
 
     def estimates(problem: GridPointParams) -> dict[str, Array]:
         gains, xhat0 = problem.gains, problem.xhat0
         return {name: o.estimate(gains[name], o.init(gains[name], xhat0)) for name, o in p.layout.observers}
 
-    return {name: e.shape[0] + own for name, e in jax.eval_shape(estimates, p.problem).items()}
+    return {name: e.shape[0] + user_defined for name, e in jax.eval_shape(estimates, p.problem).items()}
 
 
 def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
@@ -282,11 +284,11 @@ def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
 
     s: Sums = jax.tree.map(mean, outcome.sums)
     std = np.sqrt(mean(np.square(outcome.sums.std) + np.square(outcome.sums.mean - s.mean)))
-    worst = {name: getattr(outcome.sums, name).max(-1, keepdims=True) for name in ("reach", "apart", "size")}
+    worst = {name: getattr(outcome.sums, name).max(-1, keepdims=True) for name in ("reach", "deviation", "size")}
     rows = outcome.rows
     if rows:
-        middle = mean(rows.mean)
-        apart, wide = rows.mean - middle, rows.covariance.shape[2] > 1
-        between = apart[:, :, None] * apart[:, None] if wide else np.square(apart)[:, :, None]
-        rows = MomentRecord(middle, mean(rows.covariance + between))
+        mixed_mean = mean(rows.mean)
+        difference, has_covariance = rows.mean - mixed_mean, rows.covariance.shape[2] > 1
+        between = difference[:, :, None] * difference[:, None] if has_covariance else np.square(difference)[:, :, None]
+        rows = MomentRecord(mixed_mean, mean(rows.covariance + between))
     return outcome._replace(sums=s._replace(std=std, **worst), rows=rows)

@@ -58,19 +58,19 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
     - `why`: the reason that this observer has no exact answer at this grid point; empty if it has.
     - `bound` [signals]: the Kalman bound for the efficiency, NaN if there is none.
     """
-    mine, estimates = cell.signals[label], _estimates(cell, label, bound)
-    many = mine.stop - mine.start
+    signals, estimates = cell.signals[label], _estimates(cell, label, bound)
+    n_signals = signals.stop - signals.start
     normal = not cell.planned.layout.scattered and not cell.mixture
-    values, n = np.full((len(NUMBERS), many, len(ORDER)), np.nan), np.zeros(len(ORDER), int)
+    values, n = np.full((len(NUMBERS), n_signals, len(ORDER)), np.nan), np.zeros(len(ORDER), int)
     for j, name in enumerate(ORDER):
         if (e := estimates.get(name)) is not None:
-            values[:, : len(e.mean), j], n[j] = [each[:many] for each in e[1:]], e.n
-    reasons, methods, named = _reasons(why, normal)
+            values[:, : len(e.mean), j], n[j] = [field[:n_signals] for field in e[1:]], e.n
+    reasons, methods, has_row = _reasons(why, normal)
     blank = methods == "none"
-    shown = named | ~np.isnan(values[0])
+    mask = has_row | ~np.isnan(values[0])
     if not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
-        shown[:, ORDER.index("recovery_time")] = False
-    signal, metric = np.nonzero(shown)
+        mask[:, ORDER.index("recovery_time")] = False
+    signal, metric = np.nonzero(mask)
     spread = np.full((len(COLUMNS), len(signal)), np.nan)
     if normal and not why and not cell.random:
         final = metric == ORDER.index("final_error")
@@ -90,29 +90,30 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
 @lru_cache(256)
 def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.bool_]]:
     """Return for each metric of ORDER the reason for a missing value or None, its `method`, and whether it always has a row."""
-    each = [why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER) for metric in ORDER]
-    named = [metric in RUNS_ONLY or bool(why and metric in ALWAYS) for metric in ORDER]
-    methods = np.array(["none" if reason else "exact" for reason in each], object)
-    return np.array([reason or None for reason in each], object), methods, np.array(named)
+    not_normal = {} if normal else dict.fromkeys(NORMAL, ANOTHER)
+    texts = [why or RUNS_ONLY.get(metric, "") or not_normal.get(metric, "") for metric in ORDER]
+    has_row = [metric in RUNS_ONLY or bool(why and metric in ALWAYS) for metric in ORDER]
+    methods = np.array(["none" if reason else "exact" for reason in texts], object)
+    return np.array([reason or None for reason in texts], object), methods, np.array(has_row)
 
 
 def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
     """Return every exact metric of the signals."""
-    mine, s = cell.signals[label], cell.sums
+    signals, s = cell.signals[label], cell.sums
     n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
-    out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[mine], True)}
+    out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[signals], True)}
     for i, (prefix, count) in enumerate((("", n), ("steady_", n - tail))):
-        squares = _over(cell, s.square[i, mine] / count)
-        pooled = root(squares)
-        out |= {prefix + "mae": _over(cell, s.absolute[i, mine] / count), prefix + "mse": squares}
-        out |= {prefix + "pooled_rmse": pooled}
+        squares = _over(cell, s.square[i, signals] / count)
+        pooled_rmse = root(squares)
+        out |= {prefix + "mae": _over(cell, s.absolute[i, signals] / count), prefix + "mse": squares}
+        out |= {prefix + "pooled_rmse": pooled_rmse}
         if cell.planned.layout.controller:
             out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
             out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
             if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):
                 out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
-            out["rms_efficiency"] = rms_efficiency(bound[: len(pooled.mean)], pooled)
+            out["rms_efficiency"] = rms_efficiency(bound[: len(pooled_rmse.mean)], pooled_rmse)
     if label in cell.last:
         b = cell.last[label]
         for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(b), strict=True):
@@ -121,17 +122,18 @@ def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str,
     return out
 
 
-def _over(cell: CellMoments, values: ArrayLike, signed: bool = False) -> Estimate:
+def _over(cell: CellMoments, values: ArrayLike, is_signed: bool = False) -> Estimate:
     """Return values [K, S] averaged over realisations; without an error if there is only one."""
     values = np.asarray(values)
     if cell.random:
-        return (student if signed else positive)(moments(values))
-    value, nothing = values[:, 0], np.zeros(len(values))
-    return Estimate(0, value, nothing, value, value)
+        return (student if is_signed else positive)(moments(values))
+    value, zeros = values[:, 0], np.zeros(len(values))
+    return Estimate(0, value, zeros, value, value)
 
 
 def _quantiles(cell: CellMoments, label: str) -> Values:
     """Return quantiles [of COLUMNS, signals] of the last errors, which are normal: each is its own interval."""
-    mine = cell.signals[label]
-    each = {q: cell.sums.mean[mine, 0] + cell.sums.std[mine, 0] * normal_quantile(int(q[1:]) / 100) for q in QUANTILES}
-    return np.stack([each[name.split("_")[0]] for name in COLUMNS])
+    signals = cell.signals[label]
+    mean, std = cell.sums.mean[signals, 0], cell.sums.std[signals, 0]
+    quantiles = {q: mean + std * normal_quantile(int(q[1:]) / 100) for q in QUANTILES}
+    return np.stack([quantiles[name.split("_")[0]] for name in COLUMNS])

@@ -125,11 +125,11 @@ def test_a_loop_with_everything_random_is_the_covariance_recursion(found):
 
 @pytest.mark.ci
 def test_runs_with_noise_are_where_the_directions_say(found):
-    assert (found.apart / found.size).max() < 1e-12
+    assert (found.deviation / found.size).max() < 1e-12
 
 
 @pytest.mark.ci
 def test_a_command_that_saturates_is_found_out():
     """At eight times the noise it does, at the noise's own size it does not."""
     s = solved(limit=2.0)
-    assert (s.apart / s.size).min() > 1e-3
+    assert (s.deviation / s.size).min() > 1e-3

@@ -118,14 +118,14 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
     p = plan(**SHAPES[shape])
     clock = p.cell.times.clocks[0]
     chain, each = delay_modes._chain(clock), over_modes(p)
-    length = round(np.log(len(each)) / np.log(len(chain.later)))
+    length = round(np.log(len(each)) / np.log(len(chain.delays)))
     for seed in range(3):
         drawn = [s for s in random_times.draw_samples([clock], N, 2, 5, seed) if s.channel == 0]
         true = common_times.schedule(random_times.draw_samples([clock], N, 2, 5, seed), N, 2)
-        late = [chain.later.index(s.arrives - s.taken - clock.delay) for s in drawn]
+        late = [chain.delays.index(s.arrives - s.taken - clock.delay) for s in drawn]
         for i, s in enumerate(drawn):
             newest = [late[i - j] if i >= j else 0 for j in range(length)]
-            mine = each[int(np.ravel_multi_index(newest, [len(chain.later)] * length))].problem.schedule
+            mine = each[int(np.ravel_multi_index(newest, [len(chain.delays)] * length))].problem.schedule
             until = drawn[i + 1].taken if i + 1 < len(drawn) else N + 1
             slots = max(mine.arrive.shape[1], true.arrive.shape[1])
             for name in common_times.Schedule._fields:
@@ -185,10 +185,10 @@ def test_modes_of_several_cells_take_over_each_in_their_own():
 
 def test_modes_that_meet_differ_by_how_much_the_largest_number_does():
     mix = Mix(np.array([[0, 0, 2], [1, 0, 2]]), np.ones((2, 3)), ())
-    off = events.modes_apart(mix, np.array([[1.0, 1.0, np.nan], [-4.0, -4.002, 1.0]]))
+    off = events.mode_differences(mix, np.array([[1.0, 1.0, np.nan], [-4.0, -4.002, 1.0]]))
     np.testing.assert_allclose(off[:2], [0.0005, 0.0], rtol=1e-12)
     assert not off[2] <= 1.0
-    assert events.modes_apart(mix, np.array([[3, 4, 5]])).tolist() == [1 / 3, 0.0, 0.0]
+    assert events.mode_differences(mix, np.array([[3, 4, 5]])).tolist() == [1 / 3, 0.0, 0.0]
 
 
 RESTLESS = """

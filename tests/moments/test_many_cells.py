@@ -53,7 +53,7 @@ def test_a_matrix_is_the_same_at_every_tick_where_it_reads_neither_the_tick_nor_
 
 def test_how_many_go_side_by_side_depends_on_the_cells_of_a_study_alone(monkeypatch):
     """The last cells of a study go by the program of those before; what another study had before decides no bit."""
-    monkeypatch.setattr(programs, "own_of", lambda problem: ())
+    monkeypatch.setattr(programs, "is_per_cell", lambda problem: ())
     cell, wide = SimpleNamespace(layout="one", problem=()), set()
     assert programs.width_of([cell] * programs.MANY, wide) == programs.MANY
     assert programs.width_of([cell] * programs.SOME, wide) == programs.MANY

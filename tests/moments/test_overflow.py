@@ -55,7 +55,7 @@ def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affi
     (m,) = pcbench.exact_moments(study({}, "kf")).solved(parse.grid(study({}, "kf"), "", parse.FROM_HERE).cells)
     assert exactness.refusal(m, "kf") == ""
     size, beyond = np.full_like(m.sums.size, run), np.full_like(m.sums.size, np.inf)
-    sums = m.sums._replace(size=size, apart=beyond, reach=beyond)
+    sums = m.sums._replace(size=size, deviation=beyond, reach=beyond)
     assert said in exactness.refusal(m._replace(sums=sums), "kf")
 
 

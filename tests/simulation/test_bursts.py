@@ -92,7 +92,7 @@ def test_losses_in_a_row_have_no_recursion():
     """Their exact numbers are averaged over drawn schedules; of losses that come one by one they move over both cases."""
     for given, alone in (({"loss": 0.3}, True), ({"loss": 0.3, "mean_burst_length": 4.0}, False)):
         (p,) = planning.plan(parse.parse(PLAIN | {"lti": PLAIN["lti"] | given}, "bursts"))
-        assert realisations.losses_alone(p) is alone
+        assert realisations.only_losses_random(p) is alone
 
 
 @pytest.mark.nightly

@@ -92,7 +92,7 @@ def moments(loop, cases):
         ones.append(Realisation(layout, p, (), case.chance))
     with config.float64():
         found = compute(ones, COVARIANCE)
-    assert (found.sums.apart <= 1e-9 * np.maximum(found.sums.size, 1e-9)).all()
+    assert (found.sums.deviation <= 1e-9 * np.maximum(found.sums.size, 1e-9)).all()
     return [found.rows.covariance[..., i] for i in range(len(cases))]
 
 
