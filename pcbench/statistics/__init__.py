@@ -19,9 +19,9 @@ from pcbench.statistics.aggregate import (
     Aggregate,
     ObserverSummary,
     Row,
+    accumulate,
     columns,
-    see,
-    spread,
+    quantile_rows,
     summarize_observer,
 )
 from pcbench.statistics.comparison import (
@@ -101,13 +101,14 @@ def summary(
     `bounds` [signals] are the Kalman bounds for the efficiency, NaN: none. `sizes` are the signals' typical sizes. There is a
     second pass over the chunks only if an observer has more runs than are stored.
     """
-    seen: dict[str, Aggregate] = {}
-    met: dict[Pair, PairedRuns] = {}
+    aggregates: dict[str, Aggregate] = {}
+    comparisons: dict[Pair, PairedRuns] = {}
     for chunk in chunks():
         stacks = {label: stack(results) for label, results in chunk.items()}
-        seen = {label: see(seen.get(label), s) for label, s in stacks.items()}
-        met = add_pairs(met, stacks, sizes)
-    return _columns(seen, {o: None if b is None else b[None] for o, b in bounds.items()}, chunks), pair_results(met)
+        aggregates = {label: accumulate(aggregates.get(label), s) for label, s in stacks.items()}
+        comparisons = add_pairs(comparisons, stacks, sizes)
+    of_cell = {o: None if b is None else b[None] for o, b in bounds.items()}
+    return _columns(aggregates, of_cell, chunks), pair_results(comparisons)
 
 
 def summary_of_cells(
@@ -118,15 +119,15 @@ def summary_of_cells(
     `bounds` are [C, signals]. The results have the same bits as those of each grid point alone.
     """
     stacks = {label: join_stacks([stack(results[label]) for results in cells]) for label in cells[0]}
-    seen = {label: see(None, s) for label, s in stacks.items()}
-    return _columns(seen, bounds, lambda: []), pair_results(add_pairs({}, stacks, sizes))
+    aggregates = {label: accumulate(None, s) for label, s in stacks.items()}
+    return _columns(aggregates, bounds, lambda: []), pair_results(add_pairs({}, stacks, sizes))
 
 
 def _columns(
-    seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks
+    aggregates: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks
 ) -> dict[str, ObserverSummary]:
-    spreads = spread(seen, chunks)
-    return {label: summarize_observer(s, spreads[label], bounds[label]) for label, s in seen.items()}
+    spreads = quantile_rows(aggregates, chunks)
+    return {label: summarize_observer(s, spreads[label], bounds[label]) for label, s in aggregates.items()}
 
 
 def require_metric(metric: str, where: str) -> str:

@@ -53,7 +53,7 @@ class Aggregate(NamedTuple):
     diverged: int
     unsettled: NDArray[np.int64]  # [C signals]
     inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, for an observer with a covariance
-    judged: Moments | None  # [3 C] of innovations: normalized squares, their degrees of freedom, and the difference
+    innovations: Moments | None  # [3 C] of normalized squares, their degrees of freedom, and the difference
 
     @property
     def cells(self) -> int:
@@ -71,51 +71,51 @@ class ObserverSummary(NamedTuple):
     shown: NDArray[np.bool_]  # [C, R] whether the row exists
 
 
-def see(before: Aggregate | None, s: Stack) -> Aggregate:
+def accumulate(old: Aggregate | None, s: Stack) -> Aggregate:
     """Return the statistics after one more chunk of an observer's runs."""
-    good = ~s.diverged
-    values = keep_columns(s.values, good)
-    diverged, unsettled, found = int(s.diverged.sum()), keep_columns(s.unsettled, good).sum(-1), moments(values)
+    is_good = ~s.diverged
+    values = keep_columns(s.values, is_good)
+    diverged, unsettled, stats = int(s.diverged.sum()), keep_columns(s.unsettled, is_good).sum(-1), moments(values)
     inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
-    judged = _nis_moments(s, values)
-    if before is None:
+    innovations = _nis_moments(s, values)
+    if old is None:
         return Aggregate(
             rows=s.rows,
-            moments=found,
+            moments=stats,
             order=quantile_intervals.add(quantile_intervals.EMPTY, values),
             diverged=diverged,
             unsettled=unsettled,
             inside=inside,
-            judged=judged,
+            innovations=innovations,
         )
-    return before._replace(
-        moments=merge(before.moments, found),
-        order=quantile_intervals.add(before.order, values),
-        diverged=before.diverged + diverged,
-        unsettled=before.unsettled + unsettled,
-        inside=before.inside + inside,
-        judged=merge(before.judged, judged) if before.judged and judged else None,
+    return old._replace(
+        moments=merge(old.moments, stats),
+        order=quantile_intervals.add(old.order, values),
+        diverged=old.diverged + diverged,
+        unsettled=old.unsettled + unsettled,
+        inside=old.inside + inside,
+        innovations=merge(old.innovations, innovations) if old.innovations and innovations else None,
     )
 
 
-def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
+def quantile_rows(aggregates: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     """Return quantiles and their intervals [K, COLUMNS] by observer; with a second pass if not all values are stored."""
-    at = {n: positions(n) for n in {s.moments.n for s in seen.values()} if n}
-    where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
-    asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
-    sought = {label: quantile_intervals.seek(seen[label].order, asked[label]) for label in where}
-    open_ = [label for label in where if not quantile_intervals.is_complete(seen[label].order)]
+    at = {n: positions(n) for n in {s.moments.n for s in aggregates.values()} if n}
+    where = {label: at[s.moments.n] for label, s in aggregates.items() if s.moments.n}
+    ranks_of = {label: ranks(p, aggregates[label].moments.n) for label, p in where.items()}
+    searches = {label: quantile_intervals.seek(aggregates[label].order, ranks_of[label]) for label in where}
+    open_ = [label for label in where if not quantile_intervals.is_complete(aggregates[label].order)]
     parts: dict[str, list[list[Values]]] = {label: [] for label in where}
     for chunk in chunks() if open_ else ():
         for label in open_:
             new = stack(chunk[label])
-            parts[label].append(quantile_intervals.collect(sought[label], keep_columns(new.values, ~new.diverged)))
+            parts[label].append(quantile_intervals.collect(searches[label], keep_columns(new.values, ~new.diverged)))
     out = {}
-    for label, s in seen.items():
+    for label, s in aggregates.items():
         out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
         if label in where:
-            found = read(where[label], quantile_intervals.select(s.order, sought[label], asked[label], parts[label]))
-            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, found)
+            values = quantile_intervals.select(s.order, searches[label], ranks_of[label], parts[label])
+            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, read(where[label], values))
     return out
 
 
@@ -124,44 +124,45 @@ def summarize_observer(s: Aggregate, quantiles: Values, bounds: Values | None) -
 
     quantiles are [C K, COLUMNS]; bounds [C, signals], NaN: none.
     """
-    many, K = len(s.unsettled) // s.cells, len(s.rows)
+    n_signals, K = len(s.unsettled) // s.cells, len(s.rows)
     means = _means(s)
-    known: dict[str, Estimate] = {}
+    derived: dict[str, Estimate] = {}
     for metric, square in POOLED.items():
-        known[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(many)])))
+        derived[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(n_signals)])))
     if bounds is not None:
-        known["rms_efficiency"] = rms_efficiency(bounds[:, :many].ravel(), known["steady_pooled_rmse"])
-    known["divergence_rate"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
-    known["unsettled_rate"] = wilson(s.unsettled, means.n)
-    known |= _consistency_estimates(s, means)
-    sizes = {metric: len(e.mean) // s.cells for metric, e in known.items()}
+        derived["rms_efficiency"] = rms_efficiency(bounds[:, :n_signals].ravel(), derived["steady_pooled_rmse"])
+    derived["divergence_rate"] = wilson(np.full(s.cells * n_signals, s.diverged), means.n + s.diverged)
+    derived["unsettled_rate"] = wilson(s.unsettled, means.n)
+    derived |= _consistency_estimates(s, means)
+    sizes = {metric: len(e.mean) // s.cells for metric, e in derived.items()}
     names = [
         (metric, i)
-        for i in range(many)
+        for i in range(n_signals)
         for metric in DESCRIBED
-        if ((metric, i) in s.rows if metric not in known else i < sizes[metric])
+        if ((metric, i) in s.rows if metric not in derived else i < sizes[metric])
     ]
     values = np.full((s.cells, len(names), len(ESTIMATED) + len(COLUMNS)), np.nan)
-    runs = [r for r, (metric, _) in enumerate(names) if metric not in known]
+    runs = [r for r, (metric, _) in enumerate(names) if metric not in derived]
     of_runs = np.concatenate([np.stack(means[1:], 1), quantiles], 1).reshape(s.cells, K, -1)
     values[:, runs] = of_runs[:, [s.rows[names[r]] for r in runs]]
-    for metric, e in known.items():
+    for metric, e in derived.items():
         at = [r for r, (name, _) in enumerate(names) if name == metric]
         values[:, at, : len(ESTIMATED)] = np.stack(e[1:], 1).reshape(s.cells, sizes[metric], -1)
         if (metric, 0) in s.rows:
             values[:, at, len(ESTIMATED) :] = quantiles.reshape(s.cells, K, -1)[:, [s.rows[names[r]] for r in at]]
-    shown = np.ones(values.shape[:2], bool)
+    exists = np.ones(values.shape[:2], bool)
     if bounds is not None:
-        shown[:, [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]] = ~np.isnan(bounds[:, :many])
-    n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
-    return ObserverSummary(names, n, s.diverged, values, shown)
+        at = [r for r, (name, _) in enumerate(names) if name == "rms_efficiency"]
+        exists[:, at] = ~np.isnan(bounds[:, :n_signals])
+    n = np.array([derived[metric].n if metric in derived else means.n for metric, _ in names])
+    return ObserverSummary(names, n, s.diverged, values, exists)
 
 
 def _means(s: Aggregate) -> Estimate:
     """Return the means of all metrics; signed metrics have Student's interval."""
     means, plain = positive(s.moments), student(s.moments)
-    signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
-    low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
+    is_signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
+    low, high = (np.where(is_signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
     return means._replace(ci_low=low, ci_high=high)
 
 
@@ -183,17 +184,17 @@ def _nis_moments(s: Stack, values: Values) -> Moments | None:
     return moments(np.concatenate([squares, degrees, squares - degrees]))
 
 
-def _over_all(judged: Moments) -> Estimate:
+def _over_all(sums: Moments) -> Estimate:
     """Return the sum of normalized squares divided by their degrees of freedom, with a standard error by the delta method.
 
     For a ratio r, the sum of squares of s - r d is a + r^2 b - r (a + b - c), with a, b and c those of s, d and s - d.
     Source: Cochran, Sampling Techniques (1977), section 2.11.
     """
-    (square, degrees, _), (a, b, c) = judged.mean.reshape(3, -1), judged.m2.reshape(3, -1)
-    some = np.where(degrees > 0, degrees, np.nan)
-    ratio = square / some
-    m2 = np.maximum((1 - ratio) * a + (ratio - 1) * ratio * b + ratio * c, 0.0) / some**2
-    return positive(Moments(judged.n, ratio, m2, ratio, ratio))
+    (square, degrees, _), (a, b, c) = sums.mean.reshape(3, -1), sums.m2.reshape(3, -1)
+    dof = np.where(degrees > 0, degrees, np.nan)
+    ratio = square / dof
+    m2 = np.maximum((1 - ratio) * a + (ratio - 1) * ratio * b + ratio * c, 0.0) / dof**2
+    return positive(Moments(sums.n, ratio, m2, ratio, ratio))
 
 
 def _consistency_estimates(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
@@ -204,12 +205,12 @@ def _consistency_estimates(s: Aggregate, means: Estimate) -> dict[str, Estimate]
     counts = ~np.isnan(means.mean[_every(s, [s.rows["signal_nees", i] for i in range(states)])])
     shares = [wilson(count, means.n) for count in s.inside]
     blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
-    whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_dof", 0]])])
-    each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
-    bands = {"nees_band": whole, "signal_nees_band": each}
-    if s.judged is not None:
-        bands["nis"] = _over_all(s.judged)
-        bands["nis_band"] = consistency.bands(means.n, s.judged.mean.reshape(3, -1)[1])
+    nees_band = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_dof", 0]])])
+    signal_band = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
+    bands = {"nees_band": nees_band, "signal_nees_band": signal_band}
+    if s.innovations is not None:
+        bands["nis"] = _over_all(s.innovations)
+        bands["nis_band"] = consistency.bands(means.n, s.innovations.mean.reshape(3, -1)[1])
     return dict(zip(consistency.INSIDE, blank, strict=True)) | bands
 
 

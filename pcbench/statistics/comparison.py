@@ -34,16 +34,16 @@ class PairStats(NamedTuple):
 
 def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> PairStats:
     """Return the comparison of values [K, n] of two observers; a difference up to floor [K] is a tie."""
-    both = ~(bad_a | bad_b)
-    a, b = keep_columns(a, both), keep_columns(b, both)
-    apart = a - b
+    is_good = ~(bad_a | bad_b)
+    a, b = keep_columns(a, is_good), keep_columns(b, is_good)
+    difference = a - b
     room = np.maximum(np.abs(a), np.abs(b))
     room *= SAME
     room += floor[:, None]
-    ties = (np.abs(apart) <= room).sum(-1)
-    wins = (apart < -room).sum(-1)
+    ties = (np.abs(difference) <= room).sum(-1)
+    wins = (difference < -room).sum(-1)
     only = int((bad_a & ~bad_b).sum()), int((bad_b & ~bad_a).sum())
-    return PairStats(moments(apart), wins, ties, only, int((bad_a & bad_b).sum()))
+    return PairStats(moments(difference), wins, ties, only, int((bad_a & bad_b).sum()))
 
 
 def merge_pairs(a: PairStats, b: PairStats) -> PairStats:
@@ -55,8 +55,8 @@ def merge_pairs(a: PairStats, b: PairStats) -> PairStats:
 def stack_metrics(parts: list[PairStats]) -> PairStats:
     """Return comparisons of the same runs over several metrics as one."""
     wins, ties = (np.concatenate([getattr(c, name) for c in parts]) for name in ("wins", "ties"))
-    n, *each = zip(*(c.difference for c in parts), strict=True)
-    return parts[0]._replace(difference=Moments(n[0], *map(np.concatenate, each)), wins=wins, ties=ties)
+    n, *fields = zip(*(c.difference for c in parts), strict=True)
+    return parts[0]._replace(difference=Moments(n[0], *map(np.concatenate, fields)), wins=wins, ties=ties)
 
 
 def paired_t_test(c: PairStats) -> tuple[Estimate, Values, Values]:
@@ -85,10 +85,10 @@ def paired_ratio(a: Values, b: Values) -> Estimate:
     blank = np.full(len(a), np.nan)
     if not a.shape[-1]:
         return Estimate(0, blank, blank, blank, blank)
-    both = [values.mean(-1) for values in (a, b)]
-    known = (both[0] > 0) & (both[1] > 0)
-    over, under = (np.where(known, mean, 1.0) for mean in both)
-    ratio, log = np.where(known, over / under, np.nan), student(moments(a / over[:, None] - b / under[:, None]))
+    means = [values.mean(-1) for values in (a, b)]
+    is_positive = (means[0] > 0) & (means[1] > 0)
+    over, under = (np.where(is_positive, mean, 1.0) for mean in means)
+    ratio, log = np.where(is_positive, over / under, np.nan), student(moments(a / over[:, None] - b / under[:, None]))
     low, high = (ratio * np.exp(end - log.mean) for end in (log.ci_low, log.ci_high))
     return Estimate(log.n, ratio, ratio * log.se, low, high)
 
@@ -96,8 +96,8 @@ def paired_ratio(a: Values, b: Values) -> Estimate:
 def holm(p_values: Values) -> Values:
     """Return Holm's step-down adjustment of p-values [k]; NaN stays NaN and is not counted."""
     out = np.full(len(p_values), np.nan)
-    known = np.flatnonzero(~np.isnan(p_values))
-    order = known[np.argsort(p_values[known], kind="stable")]
+    indices = np.flatnonzero(~np.isnan(p_values))
+    order = indices[np.argsort(p_values[indices], kind="stable")]
     steps = p_values[order] * (len(order) - np.arange(len(order)))
     out[order] = np.minimum(np.maximum.accumulate(steps), 1.0) if len(order) else steps
     return out
@@ -126,7 +126,7 @@ class PairResult(NamedTuple):
 
 
 def add_pairs(
-    before: dict[Pair, PairedRuns], stacks: dict[str, Stack], sizes: tuple[float, ...]
+    old: dict[Pair, PairedRuns], stacks: dict[str, Stack], sizes: tuple[float, ...]
 ) -> dict[Pair, PairedRuns]:
     """Return the comparisons after one more chunk of a grid point's runs; `sizes` are the signals' typical sizes."""
     out = {}
@@ -138,17 +138,17 @@ def add_pairs(
         floor = np.tile(floor, len(in_a) // max(len(names), 1))
         size = max(1, BLOCK // len(a.diverged))
         blocks = [slice(k, k + size) for k in range(0, len(in_a), size)]
-        found = stack_metrics(
+        stats = stack_metrics(
             [pair_stats(a.values[in_a[k]], b.values[in_b[k]], a.diverged, b.diverged, floor[k]) for k in blocks]
         )
-        out[pair] = PairedRuns(names, merge_pairs(before[pair].contest, found) if pair in before else found)
+        out[pair] = PairedRuns(names, merge_pairs(old[pair].contest, stats) if pair in old else stats)
     return out
 
 
-def pair_results(met: dict[Pair, PairedRuns]) -> dict[Pair, PairResult]:
+def pair_results(comparisons: dict[Pair, PairedRuns]) -> dict[Pair, PairResult]:
     """Return the rows of every pair of observers as columns, for all grid points."""
     out = {}
-    for pair, m in met.items():
+    for pair, m in comparisons.items():
         d, better, p = paired_t_test(m.contest)
         table = np.stack([*d[1:], better, p], 1)
         out[pair] = PairResult(m.names, d.n, table.reshape(-1, len(m.names), len(VERDICT)))

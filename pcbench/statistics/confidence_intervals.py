@@ -61,8 +61,8 @@ def moments(values: Values) -> Moments:
     )  # contiguous: a row's sum has the same bits for any memory layout
     n = x.shape[-1]
     centre = x.sum(-1) / max(n, 1)
-    apart = x - centre[:, None]
-    m2 = np.square(apart, out=apart).sum(-1)
+    difference = x - centre[:, None]
+    m2 = np.square(difference, out=difference).sum(-1)
     return _exact(Moments(n, centre, m2, x.min(-1, initial=np.inf), x.max(-1, initial=-np.inf)))
 
 
@@ -76,8 +76,8 @@ def merge(a: Moments, b: Moments) -> Moments:
 
 def _exact(m: Moments) -> Moments:
     """Return moments in which rows that do not vary have no rounding error."""
-    same = m.low == m.high
-    return m._replace(mean=np.where(same, m.low, m.mean), m2=np.where(same, 0.0, m.m2))
+    is_constant = m.low == m.high
+    return m._replace(mean=np.where(is_constant, m.low, m.mean), m2=np.where(is_constant, 0.0, m.m2))
 
 
 Z95 = 1.959963984540054  # quantile of the normal distribution
@@ -121,15 +121,15 @@ def root(squares: Estimate) -> Estimate:
     return Estimate(squares.n, centre, se, low, high)
 
 
-def rms_efficiency(bound: Values, pooled: Estimate) -> Estimate:
+def rms_efficiency(bound: Values, pooled_rmse: Estimate) -> Estimate:
     """Return bound [K] / pooled rms; NaN if the rms (or an end of its interval) or the bound is zero."""
 
     def over(rms: Values) -> Values:
         return np.where((rms > 0) & (bound > 0), bound / np.where(rms > 0, rms, 1.0), np.nan)
 
-    value = over(pooled.mean)
-    se = value * pooled.se / np.where(pooled.mean > 0, pooled.mean, 1.0)
-    return Estimate(pooled.n, value, se, over(pooled.ci_high), over(pooled.ci_low))
+    value = over(pooled_rmse.mean)
+    se = value * pooled_rmse.se / np.where(pooled_rmse.mean > 0, pooled_rmse.mean, 1.0)
+    return Estimate(pooled_rmse.n, value, se, over(pooled_rmse.ci_high), over(pooled_rmse.ci_low))
 
 
 def wilson(count: NDArray[np.int64], n: int) -> Estimate:

@@ -53,6 +53,6 @@ def inside(signal: Values) -> NDArray[np.int64]:
 
 def bands(n: int, degrees: Values) -> Estimate:
     """Return the bands [K] about 1 of means over n runs of squares with these degrees of freedom."""
-    known = [band(d * n) if n and d > 0 else Band(np.nan, np.nan) for d in degrees]
-    low, high = (np.array([getattr(b, end) for b in known]) for end in ("low", "high"))
-    return Estimate(n, np.where(np.isnan(low), np.nan, 1.0), np.full(len(known), np.nan), low, high)
+    intervals = [band(d * n) if n and d > 0 else Band(np.nan, np.nan) for d in degrees]
+    low, high = (np.array([getattr(b, end) for b in intervals]) for end in ("low", "high"))
+    return Estimate(n, np.where(np.isnan(low), np.nan, 1.0), np.full(len(intervals), np.nan), low, high)

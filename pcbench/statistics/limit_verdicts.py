@@ -48,19 +48,19 @@ class Answer(NamedTuple):
 
 def point(row: Mapping[Hashable, Any], value: float, limit: float) -> Point:
     """Return the result of a row of stats at a value of the axis."""
-    mean, low, high, n, lost = (float(row[k]) for k in ("mean", "ci_low", "ci_high", "n", "diverged"))
-    known = Point(value, UNDECIDED, mean, low, high, int(n + lost))
-    if lost and row["metric"] not in COUNTS:
-        return known._replace(verdict=DIVERGES)
+    mean, low, high, n, diverged = (float(row[k]) for k in ("mean", "ci_low", "ci_high", "n", "diverged"))
+    result = Point(value, UNDECIDED, mean, low, high, int(n + diverged))
+    if diverged and row["metric"] not in COUNTS:
+        return result._replace(verdict=DIVERGES)
     if isnan(mean):
-        return known._replace(verdict=NULL)
+        return result._replace(verdict=NULL)
     if high < limit:
-        return known._replace(verdict=SUFFICES)
-    return known._replace(verdict=EXCEEDS) if low > limit else known  # with one run the ends are null: undecided
+        return result._replace(verdict=SUFFICES)
+    return result._replace(verdict=EXCEEDS) if low > limit else result  # with one run the ends are null: undecided
 
 
 def points(
-    rows: pd.DataFrame, axis: str, limit: float, refused: Iterable[tuple[str, Point]] = ()
+    rows: pd.DataFrame, axis: str, limit: float, refusals: Iterable[tuple[str, Point]] = ()
 ) -> dict[str, list[Point]]:
     """Return the results at every value of an axis by observer, in order.
 
@@ -69,23 +69,23 @@ def points(
     out: dict[str, list[Point]] = {}
     for row in rows.to_dict("records"):
         out.setdefault(str(row["observer"]), []).append(point(row, float(row[axis]), limit))
-    for observer, each in refused:
-        out.setdefault(observer, []).append(each)
-    return {observer: sorted(each, key=lambda p: p.value) for observer, each in out.items()}
+    for observer, result in refusals:
+        out.setdefault(observer, []).append(result)
+    return {observer: sorted(results, key=lambda p: p.value) for observer, results in out.items()}
 
 
-def answer(found: list[Point]) -> Answer:
+def answer(results: list[Point]) -> Answer:
     """Return the limit of an observer from its results in order, at least one."""
-    good = [p for p in found if p.verdict == SUFFICES]
-    largest = good[-1] if good else None
-    bad = [p for p in found if p.verdict in FAILS]
-    exceeds = next((p for p in bad if largest is None or p.value > largest.value), None)
-    below = bad[0] if largest and bad and bad[0].value < largest.value else None
-    return Answer(_kind(found, largest, exceeds), largest, exceeds, below, tuple(found))
+    sufficient = [p for p in results if p.verdict == SUFFICES]
+    largest = sufficient[-1] if sufficient else None
+    failures = [p for p in results if p.verdict in FAILS]
+    exceeds = next((p for p in failures if largest is None or p.value > largest.value), None)
+    below = failures[0] if largest and failures and failures[0].value < largest.value else None
+    return Answer(_kind(results, largest, exceeds), largest, exceeds, below, tuple(results))
 
 
-def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> str:
-    verdicts = {p.verdict for p in found}
+def _kind(results: list[Point], largest: Point | None, exceeds: Point | None) -> str:
+    verdicts = {p.verdict for p in results}
     if largest is not None:
         return "every value" if verdicts == {SUFFICES} else "up to"
     if verdicts == {REFUSED}:
@@ -95,7 +95,7 @@ def _kind(found: list[Point], largest: Point | None, exceeds: Point | None) -> s
     return "no value" if exceeds is not None and verdicts <= {*FAILS, REFUSED} else "undecided"
 
 
-def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
+def table(answers: dict[str, Answer], axis: str) -> pd.DataFrame:
     """Return limits as a frame with one row per observer. Missing values are NaN.
 
     - `answer`: see `Answer.kind`
@@ -105,7 +105,7 @@ def table(found: dict[str, Answer], axis: str) -> pd.DataFrame:
     - `values`, `runs`: number of values, and maximum runs per value
     - `said`: the answer as a sentence
     """
-    return pd.DataFrame([_row(observer, a, axis) for observer, a in found.items()])
+    return pd.DataFrame([_row(observer, a, axis) for observer, a in answers.items()])
 
 
 def _row(observer: str, a: Answer, axis: str) -> Row:
@@ -129,27 +129,27 @@ def sentence(a: Answer, axis: str) -> str:
     """Return an answer as a sentence."""
     first, last = a.points[0], a.points[-1]
     runs = max(p.runs for p in a.points)
-    said = {
+    text = {
         "every value": f"every tested value of {axis} suffices, {first.value:g} to {last.value:g}",
         "no value": f"no value of {axis} suffices: at {first.value:g} it {_is(first)} already",
         "undecided": f"no value of {axis} significantly suffices, with {runs:,} runs each",
         "refused": f"no value of {axis} can be run: {last.why}",
         "no number": "the metric has no number here, so there is no answer",
     }.get(a.kind, "")
-    parts = [said] if said else [f"{axis} up to {a.largest.value:g} suffices"] if a.largest else []
+    parts = [text] if text else [f"{axis} up to {a.largest.value:g} suffices"] if a.largest else []
     if a.kind == "up to" and a.exceeds:
         parts.append(f"at {a.exceeds.value:g} it {_is(a.exceeds)}")
     elif a.kind == "up to":
         parts.append("beyond, no value is significantly above the limit")
-    if open_ := [p for p in a.points if p.verdict == UNDECIDED and a.largest and p.value > a.largest.value]:
-        parts.append(f"undecided at {', '.join(f'{p.value:g}' for p in open_)} with {runs:,} runs")
+    if undecided := [p for p in a.points if p.verdict == UNDECIDED and a.largest and p.value > a.largest.value]:
+        parts.append(f"undecided at {', '.join(f'{p.value:g}' for p in undecided)} with {runs:,} runs")
     if a.fails_below and a.largest:
         parts.append(
             f"it is not monotone: at {a.fails_below.value:g} it {_is(a.fails_below)}, at {a.largest.value:g} it suffices"
         )
-    odd = [p for p in a.points if p.verdict == REFUSED and a.kind != "refused"]
-    if odd:
-        parts.append(f"not run at {', '.join(f'{p.value:g}' for p in odd)}: {odd[0].why.rstrip('.')}")
+    refusals = [p for p in a.points if p.verdict == REFUSED and a.kind != "refused"]
+    if refusals:
+        parts.append(f"not run at {', '.join(f'{p.value:g}' for p in refusals)}: {refusals[0].why.rstrip('.')}")
     if a.kind != "no number" and any(p.verdict == NULL for p in a.points):
         missing = ", ".join(f"{p.value:g}" for p in a.points if p.verdict == NULL)
         parts.append(f"at {missing} the metric has no number")

@@ -20,7 +20,7 @@ LEAN = 1.25  # ratio of the two sides above which an interval is asymmetric
 
 def mark_uncertified(observer: str, certified: Iterable[object]) -> str:
     """Return an observer's name, with a mark if its gains have no certificate at a grid point; None and NaN are unknown."""
-    return observer + MARK if any(each in (False,) for each in certified) else observer
+    return observer + MARK if any(flag in (False,) for flag in certified) else observer
 
 
 def interval(row: Any) -> str:
@@ -71,8 +71,8 @@ def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:
     if forward.empty and backward.empty:
         return "-"
     row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
-    same = row.p_holm > 0.05 or row.prob_a_better == 0.5 or row.mean_diff == 0
-    if row.n != 1 and same:  # with one run there is no test
+    is_tie = row.p_holm > 0.05 or row.prob_a_better == 0.5 or row.mean_diff == 0
+    if row.n != 1 and is_tie:  # with one run there is no test
         return "="
     low, high = sorted((sign * row.ci_low, sign * row.ci_high))
     return estimate(sign * row.mean_diff, low, high, sign="+")

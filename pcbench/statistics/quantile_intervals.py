@@ -70,9 +70,9 @@ def ranks(where: Positions, n: int) -> NDArray[np.int64]:
     return np.concatenate([where.rank, np.minimum(where.rank + 1, n - 1)])
 
 
-def read(where: Positions, found: Values) -> Values:
+def read(where: Positions, values: Values) -> Values:
     """Return the values [K, W] at the positions from those at `ranks` [K, 2 W]; the bits are those of np.quantile."""
-    a, b = np.split(found, 2, axis=-1)
+    a, b = np.split(values, 2, axis=-1)
     up = b - a
     return np.where(where.part < 0.5, a + up * where.part, b - up * (1 - where.part))
 
@@ -84,14 +84,14 @@ def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
     r, above = np.zeros(len(q), np.int64), np.full(len(q), n + 1)
     while (above - r > 1).any():  # the largest r in 0 .. n with P(N >= r) >= g, by bisection
         middle = (r + above) // 2
-        enough = bdtrc(middle - 1, n, q) >= g
-        r, above = np.where(enough, middle, r), np.where(enough, above, middle)
-    closed = (r >= 1) & (r < n)
-    r = np.where(closed, r, 1)
-    beyond, here = bdtrc(r, n, q), bdtrc(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
+        is_below = bdtrc(middle - 1, n, q) >= g
+        r, above = np.where(is_below, middle, r), np.where(is_below, above, middle)
+    is_closed = (r >= 1) & (r < n)
+    r = np.where(is_closed, r, 1)
+    beyond, at_least = bdtrc(r, n, q), bdtrc(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
     # a / (1 - a) of step 3, times (1 - q) r / (q (n - r))
-    odds = (g - beyond) * (1 - q) * r / ((here - g) * q * np.maximum(n - r, 1) + np.finfo(float).tiny)
-    return r - 1, np.where(closed, 1 / (1 + odds), np.nan)
+    odds = (g - beyond) * (1 - q) * r / ((at_least - g) * q * np.maximum(n - r, 1) + np.finfo(float).tiny)
+    return r - 1, np.where(is_closed, 1 / (1 + odds), np.nan)
 
 
 HELD = 4096  # with at most this many values there are no splitters and no second pass
@@ -104,7 +104,7 @@ class Order(NamedTuple):
     """The result of the first pass over values [K, n]."""
 
     n: int
-    held: tuple[Values, ...]  # parts [K, m], sorted; empty once there are splitters
+    parts: tuple[Values, ...]  # parts [K, m], sorted; empty once there are splitters
     splitters: Values | None  # [K, S], sorted
     below: Counts  # [K, S] number of values < splitter
     upto: Counts  # [K, S] number of values <= splitter
@@ -129,13 +129,13 @@ def add(order: Order, values: Values) -> Order:
     if order.splitters is not None:
         below, upto = _count(order.splitters, part)
         return order._replace(n=n, below=order.below + below, upto=order.upto + upto)
-    held = (*order.held, part)
+    parts = (*order.parts, part)
     if n <= HELD:
-        return order._replace(n=n, held=held)
-    whole = np.sort(np.concatenate(held, axis=-1), axis=-1)
+        return order._replace(n=n, parts=parts)
+    table = np.sort(np.concatenate(parts, axis=-1), axis=-1)
     at = np.linspace(0, n - 1, min(SPLITTERS, n)).astype(np.int64)
-    splitters = np.ascontiguousarray(whole[:, at])
-    return Order(n, (), splitters, *_count(splitters, whole))
+    splitters = np.ascontiguousarray(table[:, at])
+    return Order(n, (), splitters, *_count(splitters, table))
 
 
 def is_complete(order: Order) -> bool:
@@ -150,36 +150,36 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
     gaps, positions, values = [], [], []
     for splitters, below, upto in zip(order.splitters, order.below, order.upto, strict=True):
         j = np.searchsorted(upto, ranks, side="right")  # the first splitter with more than `rank` values up to it
-        at = np.minimum(j, len(splitters) - 1)
-        between = (j == len(splitters)) | (ranks < below[at])
-        mine = np.unique(j[between])
+        index = np.minimum(j, len(splitters) - 1)
+        between = (j == len(splitters)) | (ranks < below[index])
+        row_gaps = np.unique(j[between])
         first = np.where(j > 0, upto[j - 1], 0)  # rank of the first value in the gap
-        sizes = np.append(below, order.n)[mine] - np.where(mine > 0, upto[mine - 1], 0)
-        before = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(mine, j)]  # values in lower gaps
-        gaps.append(mine)
-        positions.append(np.where(between, ranks - first + before, -1))
-        values.append(splitters[at])
+        sizes = np.append(below, order.n)[row_gaps] - np.where(row_gaps > 0, upto[row_gaps - 1], 0)
+        offset = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(row_gaps, j)]  # values in lower gaps
+        gaps.append(row_gaps)
+        positions.append(np.where(between, ranks - first + offset, -1))
+        values.append(splitters[index])
     return Search(order.splitters, gaps, np.stack(positions), np.stack(values))
 
 
-def collect(sought: Search, values: Values) -> list[Values]:
+def collect(search: Search, values: Values) -> list[Values]:
     """Return the values in the gaps from each row of values [K, m]: the second pass."""
-    found = []
-    for splitters, gaps, row in zip(sought.splitters, sought.gaps, np.sort(values, axis=-1), strict=True):
+    rows = []
+    for splitters, gaps, row in zip(search.splitters, search.gaps, np.sort(values, axis=-1), strict=True):
         last = len(splitters) - 1
         begin = np.where(gaps > 0, np.searchsorted(row, splitters[gaps - 1], side="right"), 0)
         end = np.where(gaps <= last, np.searchsorted(row, splitters[np.minimum(gaps, last)], side="left"), len(row))
-        found.append(np.concatenate([row[:0], *(row[i:j] for i, j in zip(begin, end, strict=True))]))
-    return found
+        rows.append(np.concatenate([row[:0], *(row[i:j] for i, j in zip(begin, end, strict=True))]))
+    return rows
 
 
-def select(order: Order, sought: Search, ranks: NDArray[np.int64], parts: list[list[Values]]) -> Values:
+def select(order: Order, search: Search, ranks: NDArray[np.int64], parts: list[list[Values]]) -> Values:
     """Return the values [K, R] of the ranks, from the results of `collect` for every part."""
     if order.splitters is None:
-        whole = order.held[0] if len(order.held) == 1 else np.sort(np.concatenate(order.held, axis=-1), axis=-1)
-        return whole[:, ranks]
-    out = sought.value.copy()
-    for k, rank in enumerate(sought.rank):
+        table = order.parts[0] if len(order.parts) == 1 else np.sort(np.concatenate(order.parts, axis=-1), axis=-1)
+        return table[:, ranks]
+    out = search.value.copy()
+    for k, rank in enumerate(search.rank):
         inside = rank >= 0
         if inside.any():
             out[k, inside] = np.sort(np.concatenate([part[k] for part in parts]))[rank[inside]]

@@ -42,24 +42,24 @@ def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
 def stood(rows: list[Row], pairs: list[Row]) -> Standing:
     """Return the same from rows that are dicts, which is much faster for many grid points."""
     order = sorted(rows, key=_rank)
-    best, others, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
+    best, rest, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
     if not np.isfinite(best["mean"]):
         return Standing(names, names, np.nan, np.nan)
-    met = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
-    alike = [str(o["observer"]) for o in others if not _is_worse(met, best, o)]
-    compared = {str(pair[side]) for pair in met if pair["n"] != 1 for side in ("observer_a", "observer_b")}
-    leaders = (names[0], *alike) if compared.issuperset(alike) else ()
-    second = float(others[0]["mean"]) if others else np.nan
+    tests = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
+    alike = [str(o["observer"]) for o in rest if not _is_worse(tests, best, o)]
+    rivals = {str(pair[side]) for pair in tests if pair["n"] != 1 for side in ("observer_a", "observer_b")}
+    leaders = (names[0], *alike) if rivals.issuperset(alike) else ()
+    second = float(rest[0]["mean"]) if rest else np.nan
     factor = second / float(best["mean"]) if best["mean"] > 0 else np.inf if second > 0 else np.nan
-    tested = [float(pair["p_holm"]) for pair in met if not np.isnan(pair["p_holm"])]
-    return Standing(names, tuple(alike), max(tested, default=np.nan), factor, leaders)
+    p_values = [float(pair["p_holm"]) for pair in tests if not np.isnan(pair["p_holm"])]
+    return Standing(names, tuple(alike), max(p_values, default=np.nan), factor, leaders)
 
 
 def most_often(leaders: Iterable[tuple[str, ...]]) -> tuple[list[str], int]:
     """Return the observers that lead the most grid points, and how many; no observer if no grid point has leaders."""
-    many = Counter(observer for each in leaders for observer in each)
-    most = max(many.values(), default=0)
-    return sorted(observer for observer, count in many.items() if count == most), most
+    counts = Counter(observer for observers in leaders for observer in observers)
+    most = max(counts.values(), default=0)
+    return sorted(observer for observer, count in counts.items() if count == most), most
 
 
 def _rank(row: Row) -> tuple[float, bool, float]:
@@ -79,23 +79,23 @@ def _records(rows: pd.DataFrame) -> list[Row]:
     return cast(list[Row], rows.to_dict("records"))
 
 
-def diverges_more(best: "Row | pd.Series", other: "Row | pd.Series") -> bool:
+def diverges_more(best: "Row | pd.Series", rival: "Row | pd.Series") -> bool:
     """Return whether one row of stats has significantly more diverged runs than another."""
-    if not other["diverged"]:
+    if not rival["diverged"]:
         return False
-    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
+    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, rival))
     return bool(low["ci_low"] > high["ci_high"])
 
 
-def fraction_of(diverged: int, kept: int) -> dict[str, float]:
+def fraction_of(diverged: int, finite: int) -> dict[str, float]:
     """Return the share of runs that diverged, with Wilson's interval."""
-    return columns(wilson(np.array([diverged]), diverged + kept))[0]
+    return columns(wilson(np.array([diverged]), diverged + finite))[0]
 
 
-def _is_worse(pairs: list[Row], best: Row, other: Row) -> bool:
-    if diverges_more(best, other):
+def _is_worse(pairs: list[Row], best: Row, rival: Row) -> bool:
+    if diverges_more(best, rival):
         return True
-    row = next((pair for pair in pairs if other["observer"] in (pair["observer_a"], pair["observer_b"])), None)
+    row = next((pair for pair in pairs if rival["observer"] in (pair["observer_a"], pair["observer_b"])), None)
     if row is None:
         return False
     p, alike = float(row["p_holm"]), float(row["prob_a_better"]) == 0.5
