@@ -135,7 +135,7 @@ def _memory(call: Any) -> int:
 
 def compilations() -> int:
     """Return how many programs this process has traced and compiled."""
-    return _PROGRAMS.made
+    return _PROGRAMS.compilations
 
 
 def arguments(job: Job, width: int) -> tuple[GridPointParams, PyTree, PyTree, PyTree]:

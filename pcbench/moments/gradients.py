@@ -83,7 +83,7 @@ def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyT
         call = stacked, constants, reals, tangents
         if not programs:
             about = one.layout, shape, label, real, jax.tree.map(np.shape, p.problem.gains[label])
-            programs.append(compile_program(sums_and_slopes, about, *call, returned=(Sums,)))
+            programs.append(compile_program(sums_and_slopes, about, *call, result_types=(Sums,)))
         value, slopes = jax.tree.map(np.asarray, programs[0](*call))
         first = jax.tree.map(lambda a: a[..., :1], value)
         return CellGradients(_cell(p, one, first), jax.tree.map(lambda a: a[..., :-1], slopes))

@@ -40,19 +40,21 @@ def compute(ones: list[Realisation], record: str, every: int = 1, width: int | N
     key = layout, shape, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
     program = _PROGRAMS.ask(
         key,
-        lambda: compile_program(lambda inputs: run(layout, shape, inputs), (layout, shape), inputs, returned=RETURNED),
+        lambda: compile_program(
+            lambda inputs: run(layout, shape, inputs), (layout, shape), inputs, result_types=RETURNED
+        ),
     )
     outcome: Outcome = jax.tree.map(np.asarray, program(inputs))
     return outcome
 
 
 def compile_program(
-    f: Callable[..., PyTree], about: object, *args: PyTree, returned: tuple[type, ...] = ()
+    f: Callable[..., PyTree], about: object, *args: PyTree, result_types: tuple[type, ...] = ()
 ) -> Callable[..., PyTree]:
     """Return f compiled for arrays shaped like `args`, with the engine's options on a CPU (see `program_store`)."""
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
     shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), args)
-    program: Callable[..., PyTree] = program_store.compile_program(f, about, shapes, options, returned)
+    program: Callable[..., PyTree] = program_store.compile_program(f, about, shapes, options, result_types)
     return program
 
 

@@ -21,8 +21,8 @@ def folder(*parts: str) -> Path:
     Raises UserError if another user owns it or may write to it.
     """
     path = Path(os.environ.get("PCBENCH_CACHE") or user_cache_path("pcbench"))
-    for each in [path, *(path.joinpath(*parts[: i + 1]) for i in range(len(parts)))]:
-        _require_private(each)
+    for part in [path, *(path.joinpath(*parts[: i + 1]) for i in range(len(parts)))]:
+        _require_private(part)
     return path.joinpath(*parts)
 
 
@@ -30,17 +30,17 @@ def _require_private(path: Path) -> None:
     with suppress(OSError):  # if it cannot be created, pcbench recomputes and stores nothing
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return
     if not hasattr(os, "geteuid"):  # a system without POSIX permissions
         return
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         raise UserError(
             f"{path}: got a cache that another user owns, expected one of yours: it holds programs, which are run; name a "
             "folder of yours with PCBENCH_CACHE."
         )
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise UserError(
             f"{path}: got a cache that other users may write to, expected one that only you may change: it holds programs, "
             "which are run; remove it, or name a folder of yours alone with PCBENCH_CACHE."

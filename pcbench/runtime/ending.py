@@ -61,7 +61,7 @@ def end(code: int) -> None:
     """End the process with an exit code once no other thread is inside an `uncut` block; compiled calls are not awaited."""
     me = threading.get_ident()
     with _CHANGE:
-        _CHANGE.wait_for(lambda: all(each == me for each in _INSIDE), LONGEST)
+        _CHANGE.wait_for(lambda: all(thread == me for thread in _INSIDE), LONGEST)
     for clean in reversed(_CLEANING):
         with suppress(Exception):
             clean()

@@ -52,11 +52,11 @@ def _left_of_data() -> int:
     return sys.maxsize if limit == resource.RLIM_INFINITY else max(limit - int(psutil.Process().memory_info().data), 0)
 
 
-def memory_budget(given: str | int | None) -> float:
-    """Return the bytes that results may use: `given`, by default a quarter of the memory, at most the free memory."""
-    if given is None:
+def memory_budget(amount: str | int | None) -> float:
+    """Return the bytes that results may use: `amount`, by default a quarter of the memory, at most the free memory."""
+    if amount is None:
         return min(usable() / 4, free())
-    text = str(given).strip().upper()
+    text = str(amount).strip().upper()
     number = text.rstrip("BKMGTI").strip()
     unit = text[len(number) :].strip() or "B"
     try:
@@ -64,5 +64,5 @@ def memory_budget(given: str | int | None) -> float:
     except (KeyError, ValueError):
         size = -1.0
     if not 0 < size < 1e18:
-        raise UserError(f"--memory: got {given!r}, expected an amount such as 500MB or 2GiB; write that.")
+        raise UserError(f"--memory: got {amount!r}, expected an amount such as 500MB or 2GiB; write that.")
     return size

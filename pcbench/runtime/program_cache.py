@@ -16,16 +16,16 @@ MAPPINGS = 10_000  # memory mappings of all programs: one has 130 to 5,000, and 
 
 def jit_with_limit(function: Callable[..., R], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., R]:
     """Return a function compiled once for each shape and static argument; after `MOST` programs the cache is cleared."""
-    jitted: Any = jax.jit(function, static_argnums=static_argnums)
+    compiled: Any = jax.jit(function, static_argnums=static_argnums)
 
     @wraps(function)
     def call(*arguments: object) -> R:
-        if jitted._cache_size() >= MOST:
-            jitted.clear_cache()
-        out: R = jitted(*arguments)
+        if compiled._cache_size() >= MOST:
+            compiled.clear_cache()
+        out: R = compiled(*arguments)
         return out
 
-    call._cache_size = jitted._cache_size  # type: ignore[attr-defined]
+    call._cache_size = compiled._cache_size  # type: ignore[attr-defined]
     return call
 
 
@@ -46,32 +46,33 @@ class Programs(Generic[R]):
     """
 
     def __init__(self) -> None:
-        self.made = 0  # number of programs compiled so far
-        self._kept: dict[Hashable, CacheEntry[R]] = {}
+        self.compilations = 0  # number of programs compiled so far
+        self._entries: dict[Hashable, CacheEntry[R]] = {}
         self._lock, self._room = Lock(), Semaphore(AT_ONCE)
 
     def __iter__(self) -> Iterator[Hashable]:
-        return iter(self._kept)
+        return iter(self._entries)
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._entries)
 
     def ask(self, key: Hashable, new: Callable[[], R]) -> R:
         """Return the program of a key, compiled by `new` if it is not cached."""
         with self._lock:
-            self._kept[key] = one = self._kept.pop(key, None) or CacheEntry()
+            self._entries[key] = one = self._entries.pop(key, None) or CacheEntry()
         with one.lock:
             if one.program is None:
                 with self._room:
-                    before = _mappings()
+                    mappings = _mappings()
                     one.program = new()
-                    one.mappings = _mappings() - before
+                    one.mappings = _mappings() - mappings
                 with self._lock:
-                    self._kept[key], self.made = one, self.made + 1  # it may have been evicted while it was compiled
+                    self._entries[key] = one  # it may have been evicted while it was compiled
+                    self.compilations += 1
                     while len(self) > MOST or (
-                        len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS
+                        len(self) > 1 and sum(o.mappings for o in self._entries.values()) > MAPPINGS
                     ):
-                        del self._kept[next(iter(self))]  # the least recently used
+                        del self._entries[next(iter(self))]  # the least recently used
                 _release()
             return one.program
 

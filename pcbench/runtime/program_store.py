@@ -44,45 +44,45 @@ def allow() -> None:
 def compile_program(
     function: Callable[..., PyTree],
     about: object,
-    given: tuple[PyTree, ...],
+    args: tuple[PyTree, ...],
     options: dict[str, str | bool] | None,
-    returned: tuple[type, ...] = (),
+    result_types: tuple[type, ...] = (),
 ) -> Any:
-    """Return a function compiled for arrays like `given`; its trace is loaded from the store if possible.
+    """Return a function compiled for arrays like `args`; its trace is loaded from the store if possible.
 
     Args:
         function: the function to trace. It may read its arguments and `about`, and nothing else that varies.
         about: everything else that decides the program: numbers, strings, named tuples and functions, in any tree.
-        given: arrays, or their shape, dtype and sharding.
+        args: arrays, or their shape, dtype and sharding.
         options: compiler options.
-        returned: types of named tuples in the result.
+        result_types: types of named tuples in the result.
     """
-    leaves, tree = jax.tree.flatten(given)
-    for each in returned:
-        _register(each)
-    key = _digest(function, about, given) if _allowed else None
+    leaves, tree = jax.tree.flatten(args)
+    for named_tuple in result_types:
+        _register(named_tuple)
+    key = _digest(function, about, args) if _allowed else None
     if key is None:
-        return jax.jit(function).lower(*given).compile(options)
+        return jax.jit(function).lower(*args).compile(options)
 
     def flat(*leaves: Any) -> PyTree:
         return function(*jax.tree.unflatten(tree, leaves))
 
-    call = jax.jit(_stored(key, flat, leaves).call).lower(*leaves).compile(options)
-    return _OfTrees(call)
+    call = jax.jit(_load_or_trace(key, flat, leaves).call).lower(*leaves).compile(options)
+    return _CallWithTrees(call)
 
 
-class _OfTrees:
+class _CallWithTrees:
     """A compiled function of leaves, called with trees."""
 
     def __init__(self, call: Any) -> None:
         self._call = call
         self.memory_analysis = call.memory_analysis
 
-    def __call__(self, *given: PyTree) -> PyTree:
-        return self._call(*jax.tree.leaves(given))
+    def __call__(self, *args: PyTree) -> PyTree:
+        return self._call(*jax.tree.leaves(args))
 
 
-def _stored(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.Exported:
+def _load_or_trace(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.Exported:
     """Return the program of a key: loaded, or traced and stored."""
     place = cache.folder("traces")
     path = place / key
@@ -90,12 +90,12 @@ def _stored(key: str, flat: Callable[..., PyTree], leaves: list[Any]) -> export.
     with suppress(OSError):
         content = path.read_bytes()
         os.utime(path)
-    digest, stored = content[:SIZE], content[SIZE:]
-    if hashlib.sha256(stored).digest() != digest:
-        stored = bytes(export.export(jax.jit(flat))(*leaves).serialize())
-        cache.keep(path, hashlib.sha256(stored).digest() + stored)
+    digest, program = content[:SIZE], content[SIZE:]
+    if hashlib.sha256(program).digest() != digest:
+        program = bytes(export.export(jax.jit(flat))(*leaves).serialize())
+        cache.keep(path, hashlib.sha256(program).digest() + program)
         _drop_old(place)
-    return export.deserialize(bytearray(stored))  # also the first time: jax's cache is keyed by the program text
+    return export.deserialize(bytearray(program))  # also the first time: jax's cache is keyed by the program text
 
 
 def _register(named_tuple: type) -> None:
@@ -119,28 +119,28 @@ class UnknownError(Exception):
     """An object that cannot be included in a digest."""
 
 
-def _digest(function: Callable[..., PyTree], *read: object) -> str | None:
+def _digest(function: Callable[..., PyTree], *inputs: object) -> str | None:
     """Return the digest of everything that a program is traced from; None if some of it is unknown."""
-    found = hashlib.sha256(_surroundings())
+    digest = hashlib.sha256(_surroundings())
     try:
-        found.update(_name(function))
-        for part in _parts(read, set()):
-            found.update(b"%d " % len(part) + part)
+        digest.update(_name(function))
+        for part in _parts(inputs, set()):
+            digest.update(b"%d " % len(part) + part)
     except UnknownError:
         return None
-    return found.hexdigest()
+    return digest.hexdigest()
 
 
 @functools.cache
 def _surroundings() -> bytes:
     """Return the digest of pcbench's source, of releases, and of the user's jax settings."""
-    found, root = hashlib.sha256(), Path(__file__).parents[1]
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
-        found.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode() + path.read_bytes())
+        digest.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode() + path.read_bytes())
     settings = sorted(item for item in os.environ.items() if item[0].startswith(("JAX_", "XLA_")))
     releases = [(name, metadata.version(name)) for name in OF_LIBRARIES]
-    found.update(repr((platform.python_version(), releases, settings, jax.default_backend())).encode())
-    return found.digest()
+    digest.update(repr((platform.python_version(), releases, settings, jax.default_backend())).encode())
+    return digest.digest()
 
 
 def _parts(x: object, inside: set[int]) -> Iterator[bytes]:
@@ -194,7 +194,7 @@ def _children(x: object) -> list[object]:
 def _name(x: Any) -> bytes:
     """Return the name of a type or function of pcbench, of Python, or of a library whose release is in the digest."""
     module = str(getattr(x, "__module__", "")).partition(".")[0]
-    known = ("pcbench", *OF_LIBRARIES, *(("builtins", "functools", "types") if isinstance(x, type) else ()))
-    if module not in known:
+    packages = ("pcbench", *OF_LIBRARIES, *(("builtins", "functools", "types") if isinstance(x, type) else ()))
+    if module not in packages:
         raise UnknownError
     return f"{x.__module__}.{x.__qualname__}".encode()

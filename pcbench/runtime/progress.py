@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import NamedTuple, TypeVar
 
 
-def _ignore(*said: object) -> None:
+def _ignore(*report: object) -> None:
     """Ignore a report."""
 
 
@@ -37,21 +37,21 @@ class Stopwatch:
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
     @contextmanager
-    def __call__(self, what: str) -> Iterator[None]:
+    def __call__(self, activity: str) -> Iterator[None]:
         """Measure the time of a `with` block."""
         start = perf_counter()
         try:
             yield
         finally:
-            self.seconds[what] += perf_counter() - start
+            self.seconds[activity] += perf_counter() - start
 
-    def each(self, what: str, things: Iterable[T]) -> Iterator[T]:
+    def each(self, activity: str, values: Iterable[T]) -> Iterator[T]:
         """Yield items, and measure the time until each arrives."""
-        left = iter(things)
+        iterator = iter(values)
         while True:
-            with self(what):
+            with self(activity):
                 try:
-                    thing = next(left)
+                    value = next(iterator)
                 except StopIteration:
                     return
-            yield thing
+            yield value

@@ -30,8 +30,8 @@ def compiler() -> str:
     """Return how XLA_FLAGS and jax's settings change the compiler's defaults; or 'defaults'."""
     flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
     settings = {name: getattr(jax.config, name, None) for name in COMPILING}
-    changed = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
-    return " ".join([*sorted(flags), *changed]) or "defaults"
+    options = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
+    return " ".join([*sorted(flags), *options]) or "defaults"
 
 
 def describe() -> dict[str, object]:
@@ -49,15 +49,15 @@ def describe() -> dict[str, object]:
 
 def _git() -> dict[str, str | bool] | None:
     """Return the state of the checkout that pcbench runs from; None for an installed copy."""
-    here = Path(__file__).parent.parent
+    folder = Path(__file__).parent.parent
 
     def ask(*words: str) -> str:
-        done = subprocess.run(["git", "-C", str(here), *words], capture_output=True, text=True, timeout=10)
-        return done.stdout.strip() if done.returncode == 0 else ""
+        process = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=10)
+        return process.stdout.strip() if process.returncode == 0 else ""
 
     try:
         if not ask("ls-files", "__init__.py"):
             return None
-        return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "--", str(here)))}
+        return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "--", str(folder)))}
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -18,14 +18,14 @@ def pool(threads: int, always_wait: bool = False) -> Iterator[ThreadPoolExecutor
     After Ctrl-C running work is not awaited either, as a compiled call may take minutes and its result is unused. Set
     `always_wait` for work that writes files.
     """
-    made, wait = ThreadPoolExecutor(threads), True
+    executor, wait = ThreadPoolExecutor(threads), True
     try:
-        yield made
+        yield executor
     except (KeyboardInterrupt, GeneratorExit):  # GeneratorExit: inside a generator whose caller was stopped
         wait = always_wait
         raise
     finally:
-        made.shutdown(wait=wait, cancel_futures=True)
+        executor.shutdown(wait=wait, cancel_futures=True)
 
 
 LIBRARIES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

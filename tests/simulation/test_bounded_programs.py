@@ -32,7 +32,7 @@ def test_programs_that_were_asked_for_last_are_kept():
     assert programs.ask(0, list) == [0]
     programs.ask("new", lambda: ["new"])
     assert list(programs) == [*range(2, program_cache.MOST), 0, "new"]
-    assert programs.made == program_cache.MOST + 1
+    assert programs.compilations == program_cache.MOST + 1
 
 
 def test_different_programs_are_made_side_by_side_and_one_is_made_once():
@@ -47,14 +47,14 @@ def test_different_programs_are_made_side_by_side_and_one_is_made_once():
     assert found[0] is found[2]
     assert found[1] is found[3]
     assert found[0] is not found[1]
-    assert programs.made == 2
+    assert programs.compilations == 2
 
 
 def test_a_program_that_cannot_be_made_is_asked_for_again():
     programs = program_cache.Programs()
     with pytest.raises(ZeroDivisionError):
         programs.ask("one", lambda: 1 / 0)
-    assert programs.made == 0
+    assert programs.compilations == 0
     assert programs.ask("one", lambda: 1) == 1
     assert programs.ask("one", lambda: 2) == 1
 
