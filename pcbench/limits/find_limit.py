@@ -92,42 +92,42 @@ def find_limit(
     Raises:
         UserError: a mistake in the study or an argument, in one sentence.
     """
-    named = [axis] if isinstance(axis, str) else list(axis)
-    if len(named) not in (1, 2):
-        raise UserError(f"--axis: got {len(named)} axes, expected one or two; ask about two at a time.")
+    axes = [axis] if isinstance(axis, str) else list(axis)
+    if len(axes) not in (1, 2):
+        raise UserError(f"--axis: got {len(axes)} axes, expected one or two; ask about two at a time.")
     observers = [observers] if isinstance(observers, str) else observers
-    given = {"seeds": seeds, "observers": observers}
+    options = {"seeds": seeds, "observers": observers}
     raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
-    raw |= {key: plain(value) for key, value in given.items() if value is not None}
+    raw |= {key: plain(value) for key, value in options.items() if value is not None}
     raw = all_observers.resolve_observers(raw, where)
     for sentence in all_observers.sentences(raw.get("excluded")):
         say(sentence)
-    if len(named) == 2:
-        each = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "max_seeds": max_seeds}
+    if len(axes) == 2:
+        arguments = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "max_seeds": max_seeds}
         return _frontier(
-            raw, where, named, between, out, each | {"overwrite": overwrite, "progress": progress, "say": say}
+            raw, where, axes, between, out, arguments | {"overwrite": overwrite, "progress": progress, "say": say}
         )
     ends = _range(between)
     with config.float64(), ExitStack() as stack:
-        q = question(build_study(raw, where, FROM_HERE), where, named[0], metric, signal, threshold)
+        q = question(build_study(raw, where, FROM_HERE), where, axes[0], metric, signal, threshold)
         scale = scale_of(q.axis, q.scenario, ends, tol)
         if max_seeds is not None and max_seeds < 1:
             raise UserError(f"--max-seeds: got {max_seeds}, expected a number of seeds, 1 or more; leave it out.")
         most = BUDGET * q.study.seeds if max_seeds is None else max(max_seeds, q.study.seeds)
         folder = str(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-")) if out is None else out)
         q = _with_gains(q, (scale.also or (scale.low,))[0], folder, overwrite, progress)
-        earlier = [] if overwrite else stored_values(folder, q)
-        scale = scale._replace(also=(*scale.also, *earlier))
-        look = looking(q, folder, How(overwrite=overwrite, progress=progress, say=say))
-        found = search(look, scale, threshold, most)
-    answers = {o: limit_verdicts.answer(found[o]) for o in observers_of(q.study, q.scenario.name)}
-    table = limit_verdicts.table(answers, q.axis.called)
+        old_values = [] if overwrite else stored_values(folder, q)
+        scale = scale._replace(also=(*scale.also, *old_values))
+        look = look_of(q, folder, How(overwrite=overwrite, progress=progress, say=say))
+        results = search(look, scale, threshold, most)
+    answers = {o: limit_verdicts.answer(results[o]) for o in observers_of(q.study, q.scenario.name)}
+    table = limit_verdicts.table(answers, q.axis.label)
     table.attrs |= {
         "study": q.study.name,
         "scenario": q.scenario.name,
         "title": title_of_scenario(q.study, q.scenario.name),
-        "over": q.axis.called,
+        "over": q.axis.label,
         "over_unit": q.axis_unit,
         "metric": metric,
         "signal": q.signal,
@@ -141,31 +141,31 @@ def find_limit(
 
 
 def _frontier(
-    raw: TomlTable, where: str, named: list[str], between: object, out: str | Path | None, how: TomlTable
+    raw: TomlTable, where: str, axes: list[str], between: object, out: str | Path | None, options: TomlTable
 ) -> pd.DataFrame:
-    """Return the largest values of a second axis for each value of a first one; `how`: the other arguments of `find_limit`."""
+    """Return the largest values of a second axis for each value of a first one; `options` are passed to `find_limit`."""
     ends = list(between) if np.iterable(between) else []
     several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
-    first, second = (_range(each) for each in (ends if several else (between, None)))
+    first, second = (_range(x) for x in (ends if several else (between, None)))
     s = scenario_in(build_study(raw, where, FROM_HERE), where)
-    names = [each.partition("[")[0].strip().replace("-", "_") for each in named]
-    axis = axis_of(named[0], s, raw.get("axes", {}).get(names[0]), where)
+    names = [x.partition("[")[0].strip().replace("-", "_") for x in axes]
+    axis = axis_of(axes[0], s, raw.get("axes", {}).get(names[0]), where)
     if axis.name == names[1]:
         raise UserError(f"--axis: got {axis.name} twice, expected two axes; name another one.")
-    listed = first is None and len(set(axis.own)) > 1
-    values = sorted(set(axis.own)) if listed else scale_of(axis, s, first, None).start()
+    is_listed = first is None and len(set(axis.values)) > 1
+    values = sorted(set(axis.values)) if is_listed else scale_of(axis, s, first, None).start()
     tables = {}
     for value in values:
-        at = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.put(value)]}}
-        into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.called}={value:g}')}"
-        tables[value] = find_limit(at, axis=named[1], between=second, out=into, **how)
-    found = pd.concat([table.assign(**{axis.called: value}) for value, table in tables.items()], ignore_index=True)
-    found.insert(0, axis.called, found.pop(axis.called))
+        at = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.to_study(value)]}}
+        into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.label}={value:g}')}"
+        tables[value] = find_limit(at, axis=axes[1], between=second, out=into, **options)
+    frontier = pd.concat([table.assign(**{axis.label: value}) for value, table in tables.items()], ignore_index=True)
+    frontier.insert(0, axis.label, frontier.pop(axis.label))
     last = tables[values[-1]].attrs
     units = [AXIS_UNITS.get(axis.name, "").replace("1", ""), last["over_unit"]]
-    found.attrs |= last | {"over": [axis.called, last["over"]], "over_unit": units}
-    found.attrs |= {"between": [(values[0], values[-1]), last["between"]], "out": None if out is None else str(out)}
-    return found
+    frontier.attrs |= last | {"over": [axis.label, last["over"]], "over_unit": units}
+    frontier.attrs |= {"between": [(values[0], values[-1]), last["between"]], "out": None if out is None else str(out)}
+    return frontier
 
 
 def _range(between: object) -> tuple[float, float] | None:
@@ -188,8 +188,8 @@ def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: 
             "and all have the gains of the first; leave it out."
         )
     first = q.over([at])
-    made = gain_variants.prepare(Grid(first, grid.cells(first, q.scenario.name)), folder, overwrite, progress)
-    return q._replace(study=made.study)
+    variants = gain_variants.prepare(Grid(first, grid.cells(first, q.scenario.name)), folder, overwrite, progress)
+    return q._replace(study=variants.study)
 
 
 class Refusals(NamedTuple):
@@ -205,16 +205,16 @@ def stored_values(folder: str | Path, q: Question) -> list[float]:
     target = storage.target(str(folder))
     if storage.text(target, manifest.TEXT) is None:
         return []
-    return [q.axis.number(held) for held in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
+    return [q.axis.number(value) for value in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 
 
-def looking(q: Question, folder: str | Path, how: How) -> Look:
+def look_of(q: Question, folder: str | Path, how: How) -> Look:
     """Return a function that runs a study at values of the axis, and returns the results."""
-    why, started = Refusals({}, {}, {}), list[bool]()
+    why, calls = Refusals({}, {}, {}), list[bool]()
 
     def look(values: list[float], seeds: Mapping[float, int]) -> dict[str, list[Point]]:
-        result = _run(q, values, seeds, why, folder, how._replace(overwrite=how.overwrite and not started))
-        started.append(True)
+        result = _run(q, values, seeds, why, folder, how._replace(overwrite=how.overwrite and not calls))
+        calls.append(True)
         return points(q, values, why, result)
 
     return look
@@ -227,9 +227,9 @@ def _run(
     while True:
         grid = _grid(q, values, why)
         cells = _by_value(q, grid.cells)
-        more = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
+        new_seeds = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
         try:
-            return run_study.execute(grid, folder, how._replace(more=more))
+            return run_study.execute(grid, folder, how._replace(more=new_seeds))
         except DesignError:
             failures = {(o, v): _without_gains(cell, o) for v, cell in cells.items() for o in cell.options}
             if not any(failures.values()):
@@ -264,14 +264,14 @@ def _grid(q: Question, values: list[float], why: Refusals) -> Grid:
             except UserError as error:
                 why.observers.setdefault(o, str(error))
     able = [o for o in observers_of(q.study, name) if o not in why.observers]
-    kept = {v: each for v in possible if (each := [o for o in able if (o, v) not in why.gains])}
-    if not kept:
+    by_value = {v: labels for v in possible if (labels := [o for o in able if (o, v) not in why.gains])}
+    if not by_value:
         raise UserError(next(iter([*why.observers.values(), *why.values.values(), *why.gains.values()])))
-    run = [o for o in able if any(o in each for each in kept.values())]
-    study = q.over(list(kept)).model_copy(update={"observers": run})
+    run = [o for o in able if any(o in labels for labels in by_value.values())]
+    study = q.over(list(by_value)).model_copy(update={"observers": run})
     cells = _by_value(q, grid.cells(study, name))
     return Grid(
-        study, [c._replace(options={o: c.options[o] for o in c.options if o in kept[v]}) for v, c in cells.items()]
+        study, [c._replace(options={o: c.options[o] for o in c.options if o in by_value[v]}) for v, c in cells.items()]
     )
 
 
@@ -288,15 +288,12 @@ def points(q: Question, values: list[float], why: Refusals, result: Result) -> d
             f"--metric: got {q.metric} of {q.signal}, which {q.scenario.name} does not have, expected one that it has; "
             "take another."
         )
-    rows[axis.called] = [axis.number(held) for held in rows[axis.name]]
+    rows[axis.label] = [axis.number(value) for value in rows[axis.name]]
     able = [o for o in observers_of(q.study, q.scenario.name) if o not in why.observers]
-    besides = [(o, Point(v, REFUSED, why=sentence)) for o, sentence in why.observers.items() for v in values]
-    besides += [(o, Point(v, REFUSED, why=sentence)) for v, sentence in why.values.items() for o in able]
-    besides += [(o, Point(v, REFUSED, why=sentence)) for (o, v), sentence in why.gains.items() if v not in why.values]
-    answered = {(o, v) for o, v in zip(rows.observer, rows[axis.called], strict=True)} | {
-        (o, p.value) for o, p in besides
-    }
-    besides += [
-        (o, Point(v, NULL)) for o in able for v in values if (o, v) not in answered
-    ]  # the observer does not estimate this signal
-    return limit_verdicts.points(rows, axis.called, q.threshold, besides)
+    missing = [(o, Point(v, REFUSED, why=sentence)) for o, sentence in why.observers.items() for v in values]
+    missing += [(o, Point(v, REFUSED, why=sentence)) for v, sentence in why.values.items() for o in able]
+    missing += [(o, Point(v, REFUSED, why=sentence)) for (o, v), sentence in why.gains.items() if v not in why.values]
+    pairs = {*zip(rows.observer, rows[axis.label], strict=True), *((o, p.value) for o, p in missing)}
+    # the observer does not estimate this signal
+    missing += [(o, Point(v, NULL)) for o in able for v in values if (o, v) not in pairs]
+    return limit_verdicts.points(rows, axis.label, q.threshold, missing)

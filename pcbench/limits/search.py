@@ -47,16 +47,16 @@ class Scale(NamedTuple):
     def start(self) -> list[float]:
         """Return the initial values: the ends, three between them, and `also`."""
         middle = self.between(self.low, self.high)
-        found = [self.low, middle, self.high, *self.also]
+        values = [self.low, middle, self.high, *self.also]
         if middle is not None:
-            found += [self.between(self.low, middle), self.between(middle, self.high)]
-        return sorted({v for v in found if v is not None})
+            values += [self.between(self.low, middle), self.between(middle, self.high)]
+        return sorted({v for v in values if v is not None})
 
-    def near(self, a: float, b: float) -> bool:
+    def is_near(self, a: float, b: float) -> bool:
         """Return whether two values, a < b, are within the requested precision."""
         floor = self.tick or (FLOOR * (self.high - self.low) if self.low <= 0 else 0.0)
-        enough = max(PART * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
-        return b - a <= enough * (1 + 1e-9) or self.between(a, b) is None
+        tol = max(PART * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
+        return b - a <= tol * (1 + 1e-9) or self.between(a, b) is None
 
     def between(self, a: float, b: float) -> float | None:
         """Return a value about halfway between a and b, a < b, with few digits; None if there is none."""
@@ -87,43 +87,43 @@ def search(look: Look, scale: Scale, limit: float, most: int) -> dict[str, list[
     """Return all results by observer, in order; a value gets at most `most` seeds."""
     values, seeds = scale.start(), dict[float, int]()
     while True:
-        found = look(values, seeds)
-        new, more = set(values), dict(seeds)
-        for each in found.values():
-            asked = doubts(each, scale, limit, most)
-            for value, many in asked.items():
-                more[value] = max(more.get(value, 0), many)
-            new |= set() if asked else set(gaps(each, scale))
-        if more == seeds and new == set(values):
-            return found
-        values, seeds = sorted(new), more
+        results = look(values, seeds)
+        new, new_seeds = set(values), dict(seeds)
+        for points in results.values():
+            requests = doubts(points, scale, limit, most)
+            for value, count in requests.items():
+                new_seeds[value] = max(new_seeds.get(value, 0), count)
+            new |= set() if requests else set(gaps(points, scale))
+        if new_seeds == seeds and new == set(values):
+            return results
+        values, seeds = sorted(new), new_seeds
 
 
-def brackets(found: list[Point], scale: Scale) -> list[tuple[Point, Point]]:
+def brackets(points: list[Point], scale: Scale) -> list[tuple[Point, Point]]:
     """Return the neighbouring values that enclose an observer's limit; empty if it is precise enough."""
-    a = answer(found)
-    if a.largest and a.exceeds and scale.near(a.largest.value, a.exceeds.value):
+    a = answer(points)
+    if a.largest and a.exceeds and scale.is_near(a.largest.value, a.exceeds.value):
         return []
-    return [(p, q) for p, q in pairwise(found) if p is a.largest or q is a.exceeds]
+    return [(p, q) for p, q in pairwise(points) if p is a.largest or q is a.exceeds]
 
 
-def gaps(found: list[Point], scale: Scale) -> list[float]:
+def gaps(points: list[Point], scale: Scale) -> list[float]:
     """Return the values that would make an observer's limit more precise."""
-    wide = [(p.value, q.value) for p, q in brackets(found, scale) if not scale.near(p.value, q.value)]
+    wide = [(p.value, q.value) for p, q in brackets(points, scale) if not scale.is_near(p.value, q.value)]
     return [middle for p, q in wide if (middle := scale.between(p, q)) is not None]
 
 
-def doubts(found: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
+def doubts(points: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
     """Return the number of seeds by value, where more seeds may decide an observer's verdict."""
-    neighbours = [p for pair in brackets(found, scale) for p in pair]
-    if answer(found).largest is None:
-        neighbours.append(found[0])
-    wanted = {p.value: min(_enough(p, limit), most) for p in neighbours if p.verdict == UNDECIDED}
+    neighbours = [p for pair in brackets(points, scale) for p in pair]
+    if answer(points).largest is None:
+        neighbours.append(points[0])
+    requests = {p.value: min(_seeds_needed(p, limit), most) for p in neighbours if p.verdict == UNDECIDED}
     runs = {p.value: p.runs for p in neighbours}
-    return {value: many for value, many in wanted.items() if many > runs[value]}
+    return {value: count for value, count in requests.items() if count > runs[value]}
 
 
-def _enough(p: Point, limit: float) -> int:
+def _seeds_needed(p: Point, limit: float) -> int:
     """Return the seeds with which the end of a point's interval is expected to reach the threshold."""
     side, gap = (p.high - p.mean, limit - p.mean) if p.mean < limit else (p.mean - p.low, p.mean - limit)
     if not isfinite(side):  # only one run
@@ -143,59 +143,57 @@ class Axis(NamedTuple):
 
     name: str  # name in a study
     at: int | None  # index of the channel or state that varies; None: all, or a single number
-    others: tuple[float | str, ...]  # values of all channels; for the one that varies, that of the scenario
-    own: tuple[float, ...]  # values of the study for the number that varies; if it has none, that of the scenario
+    channel_values: tuple[float | str, ...]  # values of all channels; for the one that varies, that of the scenario
+    values: tuple[float, ...]  # values of the study for the number that varies; if it has none, that of the scenario
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """Return the axis' name for the user, such as `delay[0]`."""
         return self.name if self.at is None else f"{self.name}[{self.at}]"
 
-    def put(self, value: float) -> float | list[float | str]:
+    def to_study(self, value: float) -> float | list[float | str]:
         """Return a value in the form of a study's axis."""
         if self.at is None:
             return value
-        return [value if i == self.at else other for i, other in enumerate(self.others)]
+        return [value if i == self.at else v for i, v in enumerate(self.channel_values)]
 
-    def number(self, held: Any) -> float:
+    def number(self, value: Any) -> float:
         """Return the number that varies from a value of an axis, or of a column of the tables."""
-        one = self.at is None or isinstance(held, int | float)  # one number if all channels are equal
-        return float(held if one else held[self.at])
+        one = self.at is None or isinstance(value, int | float)  # one number if all channels are equal
+        return float(value if one else value[self.at])
 
 
-def axis_of(named: str, s: Scenario, given: list[object] | None, where: str) -> Axis:
-    """Return the axis called `named`; `given` are the study's values. Raise UserError if it is not a single number."""
-    found = ONE.fullmatch(named.strip())
-    name, at = (found[1].replace("-", "_"), int(found[2])) if found else (named.strip().replace("-", "_"), None)
-    known = [*axes.axes_of(s), *(f"plant.{p}" for p in parameters_in(s))]
-    if name not in known:
-        raise unknown("--axis", f"axis of {s.name}", name, known)
+def axis_of(text: str, s: Scenario, study_values: list[object] | None, where: str) -> Axis:
+    """Return the axis called `text`; `study_values` are the study's values. Raise UserError if it is not a single number."""
+    match = ONE.fullmatch(text.strip())
+    name, at = (match[1].replace("-", "_"), int(match[2])) if match else (text.strip().replace("-", "_"), None)
+    names = [*axes.axes_of(s), *(f"plant.{p}" for p in parameters_in(s))]
+    if name not in names:
+        raise unknown("--axis", f"axis of {s.name}", name, names)
     if name in axes.LISTS:
         raise UserError(
             f"--axis: got {name}, whose values are words or lists, expected an axis of numbers such as sampling_period."
         )
-    held: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in given or []] or [
+    points: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in study_values or []] or [
         _scenario_value(name, s)
     ]
-    if not isinstance(held[0], tuple):
+    if not isinstance(points[0], tuple):
         if at is not None:
-            raise UserError(
-                f"--axis: got {short(named)}, where {name} is one number, expected no [{at}]; write {name}."
-            )
-        return Axis(name, None, (), tuple(v for v in held if v is not None))
-    first = held[0]
+            raise UserError(f"--axis: got {short(text)}, where {name} is one number, expected no [{at}]; write {name}.")
+        return Axis(name, None, (), tuple(v for v in points if v is not None))
+    first = points[0]
     if at is not None and at >= len(first):
         raise UserError(
-            f"--axis: got {short(named)}, expected {name}[0] to {name}[{len(first) - 1}]; write one of these."
+            f"--axis: got {short(text)}, expected {name}[0] to {name}[{len(first) - 1}]; write one of these."
         )
-    rest = {tuple(v for i, v in enumerate(each) if at not in (None, i)) for each in held}
-    if len(rest) > 1 or (at is None and any(len(set(each)) > 1 for each in held)):
+    other_values = {tuple(v for i, v in enumerate(point) if at not in (None, i)) for point in points}
+    if len(other_values) > 1 or (at is None and any(len(set(point)) > 1 for point in points)):
         raise UserError(
-            f"--axis: got {short(named)}, whose {len(first)} numbers differ in {s.name} ({', '.join(map(str, first))}), "
+            f"--axis: got {short(text)}, whose {len(first)} numbers differ in {s.name} ({', '.join(map(str, first))}), "
             f"expected one of them; write {name}[0], and give the study one value of the others."
         )
-    own = tuple(each[at or 0] for each in held)
-    return Axis(name, at, first, tuple(v for v in own if v != INTERVAL))
+    values = tuple(point[at or 0] for point in points)
+    return Axis(name, at, first, tuple(v for v in values if v != INTERVAL))
 
 
 def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
@@ -219,30 +217,30 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
     if tol is not None and not (0 < tol < float("inf") and tol >= tick * (1 - 1e-9)):
         least = f"at least a tick, {tick:g} s" if tick else "a number above 0"
         raise UserError(f"--tol: got {tol:g}, expected {least}; leave it out for a twentieth of the value.")
-    low, high = ends or ((min(axis.own), max(axis.own)) if len(set(axis.own)) > 1 else _usual(axis, s))
+    low, high = ends or ((min(axis.values), max(axis.values)) if len(set(axis.values)) > 1 else _usual(axis, s))
     for end in (low, high):
-        axes.point(axis.name, axis.put(end), s, "--range")
+        axes.point(axis.name, axis.to_study(end), s, "--range")
     if not low < high:
         raise UserError(f"--range: got {low:g} {high:g}, expected the lower end first; write --range {high:g} {low:g}.")
     scale = Scale(low, high, tick, tol)
-    return scale._replace(also=tuple(v for v in axis.own if low <= v <= high))
+    return scale._replace(also=tuple(v for v in axis.values if low <= v <= high))
 
 
 def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
     """Return the default range of a scenario's number."""
-    own = axis.own[0] if axis.own else 0.0
+    value = axis.values[0] if axis.values else 0.0
     long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
     half = max((round(period / s.dt) - 1) // 2, 0) * s.dt
     ends = {"tick": s.dt, "tail": long, "half": half, "period": period, "-period": -period}
-    searched = next((f.search for f in FIELDS if f.name == axis.name), None)
-    usual = searched and tuple(ends[end] if isinstance(end, str) else end for end in searched)
-    if usual is None and own:
-        decades = float(f"{own / DECADE:.1g}"), float(f"{own * DECADE:.1g}")
-        usual = (own, 2 * own) if axis.name.startswith("plant.") else decades
+    search_range = next((f.search for f in FIELDS if f.name == axis.name), None)
+    usual = search_range and tuple(ends[end] if isinstance(end, str) else end for end in search_range)
+    if usual is None and value:
+        decades = float(f"{value / DECADE:.1g}"), float(f"{value * DECADE:.1g}")
+        usual = (value, 2 * value) if axis.name.startswith("plant.") else decades
     if usual is None or not usual[0] != usual[1]:
         raise UserError(
-            f"--range: {s.name} suggests none for {axis.called}, expected the two ends of a range; write --range LOW HIGH."
+            f"--range: {s.name} suggests none for {axis.label}, expected the two ends of a range; write --range LOW HIGH."
         )
     low, high = (float(f"{end:.12g}") for end in sorted(usual))
     return low, high
@@ -272,7 +270,7 @@ class Question(NamedTuple):
     def over(self, values: list[float]) -> Study:
         """Return the study with these values of the axis."""
         return self.study.model_copy(
-            update={"axes": self.study.axes | {self.axis.name: list(map(self.axis.put, values))}}
+            update={"axes": self.study.axes | {self.axis.name: list(map(self.axis.to_study, values))}}
         )
 
     @property
@@ -281,7 +279,7 @@ class Question(NamedTuple):
         return AXIS_UNITS.get(self.axis.name, "").replace("1", "")
 
 
-def question(study: Study, where: str, named: str, metric: str, signal: str | None, threshold: float) -> Question:
+def question(study: Study, where: str, axis_name: str, metric: str, signal: str | None, threshold: float) -> Question:
     """Return the question; raise UserError for one that cannot be answered."""
     if metric not in SMALLER_IS_BETTER:
         if metric in NOT_SMALLER:
@@ -298,7 +296,7 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
             f"{where}: got {len(study.scenarios)} scenarios, expected one here; name one of {', '.join(study.scenarios)}."
         )
     s = scenarios_of(study)[study.scenarios[0]]
-    axis = axis_of(named, s, study.axes.get(named.partition("[")[0].strip().replace("-", "_")), where)
+    axis = axis_of(axis_name, s, study.axes.get(axis_name.partition("[")[0].strip().replace("-", "_")), where)
     if axis.name == "processor_speed":
         raise UserError(
             f"{where}: got the axis processor_speed, of which more is better, expected one of which the largest value is "
@@ -312,14 +310,14 @@ def question(study: Study, where: str, named: str, metric: str, signal: str | No
     for name, values in study.axes.items():
         if name != axis.name and len(values) > 1:
             raise UserError(
-                f"{where}: axes.{name}: got {len(values)} values, expected one while {axis.called} is searched; add --set "
+                f"{where}: axes.{name}: got {len(values)} values, expected one while {axis.label} is searched; add --set "
                 f"axes.{name}=VALUE."
             )
     names = [name for name, _ in signals_of(s)]
     if signal is not None and signal not in names:
         raise unknown("--signal", f"signal of {s.name}", signal, names)
-    chosen = signal or (names[0] if metric in OF_RUN else (*s.scoring.headline, *names)[0])
-    return Question(study, s, axis, metric, chosen, threshold)
+    signal_name = signal or (names[0] if metric in OF_RUN else (*s.scoring.headline, *names)[0])
+    return Question(study, s, axis, metric, signal_name, threshold)
 
 
 def notes(q: Question) -> list[str]:
@@ -331,9 +329,9 @@ def notes(q: Question) -> list[str]:
     return [note, *filter(None, [settles_sentence(q.scenario, [*q.study.axes, q.axis.name])])]
 
 
-def settles_sentence(s: Scenario, varied: Iterable[str]) -> str:
+def settles_sentence(s: Scenario, axis_names: Iterable[str]) -> str:
     """Return a sentence if no observer is needed: the plant is known exactly and decays without noise; otherwise nothing."""
-    if any(name in PUSHES or name.startswith("plant.") for name in varied) or not settles_alone(s):
+    if any(name in PUSHES or name.startswith("plant.") for name in axis_names) or not settles_alone(s):
         return ""
     return (
         f"{s.name}: the plant decays by itself, equals its model, and has no process noise. So the model "

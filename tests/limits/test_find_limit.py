@@ -133,7 +133,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
     """Runs are replaced by an error of noise_std times sampling_period, below 0.3 up to 0.3 / sampling_period."""
     folders = []
 
-    def looking(q, folder, how):
+    def look_of(q, folder, how):
         (period,) = q.study.axes["sampling_period"]
         folders.append(folder)
 
@@ -143,7 +143,7 @@ def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_pa
 
         return lambda values, seeds: {"kf": [point(v) for v in sorted(values)]}
 
-    monkeypatch.setattr(find_limit, "looking", looking)
+    monkeypatch.setattr(find_limit, "look_of", look_of)
     how = {"threshold": 0.3, "tol": 0.01, "observers": ["kf"], "out": tmp_path / "out"}
     study = {"name": "f", "scenarios": ["cart/slow"], "axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 1.7]}}
     table = pcbench.find_limit(study, axis=["sampling_period", "noise_std"], **how)

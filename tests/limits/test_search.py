@@ -179,9 +179,9 @@ def test_what_lies_between_two_values_lies_between_them(a, apart):
 
 
 def test_two_neighbouring_ticks_are_as_close_as_can_be():
-    assert PERIODS.near(0.011, 0.012)
-    assert PERIODS._replace(tol=1e-6).near(0.3, 0.301)
-    assert not PERIODS.near(0.01, 0.012)
+    assert PERIODS.is_near(0.011, 0.012)
+    assert PERIODS._replace(tol=1e-6).is_near(0.3, 0.301)
+    assert not PERIODS.is_near(0.01, 0.012)
 
 
 def answers(rows, axis, limit):
