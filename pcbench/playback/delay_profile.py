@@ -77,8 +77,8 @@ class Profile:
         bare = (0,) * len(low)
         log = self._log(bare)
         longest = max(c.intervals.most if c.intervals.many else 0.0 for c in a.survey.channels.values())
-        apart = int(max(longest / a.clock.dt, high.max() - low.min())) + 2
-        p = prepare_observers(self.a._replace(log=log), Room(apart=apart))
+        gap = int(max(longest / a.clock.dt, high.max() - low.min())) + 2
+        p = prepare_observers(self.a._replace(log=log), Room(longest_gap=gap))
         (part,) = stream.parts(self.a._replace(log=log), p, [])
         self.gains, self.start = gains_of(p)
         inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))

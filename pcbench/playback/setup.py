@@ -147,9 +147,9 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         raise UserError(
             f"{where}: got a scenario that measures continuously, expected one that samples; take another plant file."
         )
-    if room.apart + room.latest > cell.times.ticks:
+    if room.longest_gap + room.latest > cell.times.ticks:
         raise UserError(
-            f"{where}: got {room.apart * s.dt:g} s without a sample before row {room.apart_row} and some up to "
+            f"{where}: got {room.longest_gap * s.dt:g} s without a sample before row {room.longest_gap_row} and some up to "
             f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; check the unit "
             "of the times (time_unit), cut the log there, or write a longer duration."
         )
@@ -186,7 +186,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
                     f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
                     "be correlated between outputs, expected one of them; leave one out."
                 )
-    back = min(a.last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
+    back = min(a.last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.longest_gap, 1)))
     around = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),

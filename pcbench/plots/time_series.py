@@ -275,7 +275,11 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
     For a long recording, an even selection of samples is drawn. Raises UserError if no sample arrived.
     """
     survey: Survey = table.attrs["survey"]
-    kept = {name: seen.delays.kept.round(DIGITS) for name, seen in survey.channels.items() if len(seen.delays.kept)}
+    kept = {
+        name: seen.delays.selection.round(DIGITS)
+        for name, seen in survey.channels.items()
+        if len(seen.delays.selection)
+    }
     if not kept:
         raise UserError(
             f"plots.delays: got a recording {table.attrs['name']} without arrivals, expected at least one; use another one."

@@ -70,9 +70,9 @@ def is_log(path: Path) -> bool:
 def contents(path: Path) -> list[Contents]:
     """Return the contents of a file; raise UserError if it cannot be read."""
     kind = readers.format_of(path, path.name)
-    source = Source(path, "", [], set(), None, path.name, topics={""}, loaded={})
+    source = Source(path, "", [], set(), None, path.name, topics={""}, cache={})
     topics = list(TOPICS[kind](source))
-    source = source._replace(topics={each.name for each in topics}, loaded={})
+    source = source._replace(topics={each.name for each in topics}, cache={})
     out = [_contents(source, topic, kind) for topic in topics]
     if not any(each.fields for each in out):
         raise UserError(f"{path}: got no field of numbers, expected one at least; see whether this is the right file.")
@@ -85,23 +85,22 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
     stats, problem = {field: FieldStats() for field in fields}, topic.problem
     try:
         for part in kind.columns(source) if fields else ():
-            stats = {field: _more(stats[field], part[field]) for field in fields}
+            stats = {field: _update(stats[field], part[field]) for field in fields}
     except UserError as error:
         if not stats or kind not in readers.MESSAGES:
             raise
         problem = str(error)
     if topic.times and kind is not readers.TABLE:
         return Contents(topic, stats, topic.times[0], None, problem)
-    rising = [
+    monotonic = [
         field for field in topic.numbers if stats[field].rows == stats[field].spread.many and not stats[field].falls
     ]
-    first = [*topic.times, *(field for field in rising if field == fields[0] and len(fields) > 1)]
-    called = [field for field in (*topic.times, *rising, *topic.numbers, *topic.words) if TIME.match(field)]
-    stamp = next(iter(called or first), None)
+    first = [*topic.times, *(field for field in monotonic if field == fields[0] and len(fields) > 1)]
+    matches = [field for field in (*topic.times, *monotonic, *topic.numbers, *topic.words) if TIME.match(field)]
+    stamp = next(iter(matches or first), None)
     if stamp in topic.times or stamp in topic.words:
-        return Contents(
-            topic, stats, stamp, None, problem or (_time_problem(str(stamp), stats.get(str(stamp))) if called else "")
-        )
+        problem = problem or (_time_problem(str(stamp), stats.get(str(stamp))) if matches else "")
+        return Contents(topic, stats, stamp, None, problem)
     unit = tables.name_and_unit(stamp)[1] if stamp else None
     if stamp and unit not in SECONDS:
         unit = next((unit for least, unit in EPOCHS if stats[stamp].spread.most > least), "s")
@@ -120,7 +119,7 @@ def _time_problem(stamp: str, s: FieldStats | None) -> str:
     return f"column '{stamp}' of times {', and '.join(wrong)}." if wrong else ""
 
 
-def _more(s: FieldStats, numbers: Floats) -> FieldStats:
+def _update(s: FieldStats, numbers: Floats) -> FieldStats:
     with np.errstate(invalid="ignore"):  # infinite values
         steps = np.diff(numbers, prepend=s.last)
     return FieldStats(
@@ -132,10 +131,10 @@ def _more(s: FieldStats, numbers: Floats) -> FieldStats:
     )
 
 
-def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
+def rows_of(topics: list[Contents]) -> list[dict[str, Any]]:
     """Return one row per field that is not a time, times in seconds; a topic without numbers has a row without a field."""
     rows = []
-    for c in found:
+    for c in topics:
         first, last = c.span
         numbers = {field: s for field, s in c.fields.items() if field not in c.topic.times}
         for field, s in (numbers or {"": c.fields.get(str(c.stamp), FieldStats())}).items():
@@ -152,17 +151,17 @@ def rows_of(found: list[Contents]) -> list[dict[str, Any]]:
     return rows
 
 
-def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
+def starter_toml(path: Path, topics: list[Contents], folder: Path) -> str:
     """Return a TOML in `folder` that maps fields to channels and inputs; unlikely ones are comments."""
     kind, counts = readers.format_of(path, path.name), {"channels": 0, "inputs": 0}
-    units = {c.unit for c in found if c.unit not in (None, "s") and tables.name_and_unit(str(c.stamp))[1] != c.unit}
+    units = {c.unit for c in topics if c.unit not in (None, "s") and tables.name_and_unit(str(c.stamp))[1] != c.unit}
     lines = [
         "# Keep the fields that your plant measures, in the order of its outputs, and write their units.",
         f"log = {_text(os.path.relpath(path, folder))}",
         *(f"time_unit = {_text(unit)}  # by the size of the numbers" for unit in sorted(map(str, units))[:1]),
-        *([] if any(c.stamp for c in found) else ["period = 1.0  # [s] from one row to the next: write yours"]),
+        *([] if any(c.stamp for c in topics) else ["period = 1.0  # [s] from one row to the next: write yours"]),
     ]
-    for c in found:
+    for c in topics:
         arrival = None if kind.arrived else _arrival(c)
         for field, s in c.fields.items():
             if field in (c.stamp, arrival) or field in c.topic.times or not s.spread.many:
@@ -173,8 +172,8 @@ def starter_toml(path: Path, found: list[Contents], folder: Path) -> str:
             dead = COUNTER.fullmatch(name) or TIME.match(name) or (s.constant and not (is_input and s.spread.most))
             mark = "# " if counts[table] >= ACTIVE or dead else ""
             counts[table] += not mark
-            known = unit and len(unit) <= LONGEST_UNIT and UNIT.fullmatch(unit)
-            entry = {"topic": c.topic.name, "frame": c.topic.frame, "field": field, "unit": unit if known else "1"}
+            is_unit = unit and len(unit) <= LONGEST_UNIT and UNIT.fullmatch(unit)
+            entry = {"topic": c.topic.name, "frame": c.topic.frame, "field": field, "unit": unit if is_unit else "1"}
             entry[key] = c.stamp if c.stamp != kind.stamp else ""
             block = [f"[{table}.{letter}{counts[table] + bool(mark)}]  # {s.spread.least:.6g} to {s.spread.most:.6g}"]
             block += [f"{key} = {_text(value)}" for key, value in entry.items() if value]

@@ -64,9 +64,9 @@ class Changes:
 
     def __call__(self, values: Floats) -> NDArray[np.bool_]:
         """Return where values differ from the previous one, also across parts."""
-        changed = np.diff(values, prepend=self.last) != 0
+        is_change = np.diff(values, prepend=self.last) != 0
         self.last = values[-1:] if len(values) else self.last
-        return np.asarray(changed)
+        return np.asarray(is_change)
 
 
 def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
@@ -96,15 +96,15 @@ def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
                 value=scale[b.channel] * b.value + offset[b.channel],
                 std=np.abs(scale[b.channel]) * b.std if len(b.std) else b.std,
             )
-            kept = np.ones(len(b.row), bool)
+            mask = np.ones(len(b.row), bool)
             for i, c in enumerate(each):
                 if c.only_changes:
-                    mine = b.channel == i
-                    kept[mine] = changes[i](b.value[mine])
-            yield b.select(kept)
+                    of_channel = b.channel == i
+                    mask[of_channel] = changes[i](b.value[of_channel])
+            yield b.select(mask)
 
     return log._replace(
-        measurements=measurements, inputs=_corrected(log.inputs, toml.inputs), truth=_corrected(log.truth, toml.truth)
+        measurements=measurements, inputs=_correct(log.inputs, toml.inputs), truth=_correct(log.truth, toml.truth)
     )
 
 
@@ -112,10 +112,10 @@ def _names(table: Table | None) -> tuple[str, ...]:
     return table.names if table else ()
 
 
-def _corrected(table: Table | None, given: Mapping[str, Values]) -> Table | None:
-    if table is None or not given:
+def _correct(table: Table | None, corrections: Mapping[str, Values]) -> Table | None:
+    if table is None or not corrections:
         return table
-    each = [given.get(name, Values()) for name in table.names]
+    each = [corrections.get(name, Values()) for name in table.names]
     scale, offset = np.array([c.scale for c in each]), np.array([c.offset for c in each])
 
     def read() -> Iterator[Rows]:
@@ -136,9 +136,9 @@ def toml_with_offsets(log: Path, offsets: Mapping[str, float], delay: float | No
     raw["log"] = Path(os.path.relpath(file.absolute(), folder.absolute())).as_posix()
     channels: TomlTable = raw.setdefault("channels", {})
     for name, offset in offsets.items():
-        mine: TomlTable = channels.setdefault(name, {})
-        mine["clock_offset"] = mine.get("clock_offset", 0.0) + offset
-        late = mine.get("delay", delay)
-        if late is not None and "arrived" not in mine:
-            mine["delay"] = max(late - offset, 0.0)
+        table: TomlTable = channels.setdefault(name, {})
+        table["clock_offset"] = table.get("clock_offset", 0.0) + offset
+        late = table.get("delay", delay)
+        if late is not None and "arrived" not in table:
+            table["delay"] = max(late - offset, 0.0)
     return tomli_w.dumps(raw)

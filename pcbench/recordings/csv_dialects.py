@@ -47,7 +47,7 @@ class CsvOptions(BaseModel):
     head: int | None = Field(None, ge=0, description="number of the line with the names of the columns; 0: none")
 
 
-FOUND = CsvOptions()
+CSV_DEFAULTS = CsvOptions()
 
 
 class Dialect(NamedTuple):
@@ -64,29 +64,29 @@ class Dialect(NamedTuple):
 class Layout(NamedTuple):
     """How well a separator explains the lines of a file: larger is better."""
 
-    explained: float  # share of cells in rows that are numbers, times or empty
+    share: float  # share of cells in rows that are numbers, times or empty
     rows: int
     separator: str
     first: int  # line of the first row
     many: int  # number of columns
 
 
-def dialect(path: Path, given: CsvOptions) -> Dialect:
+def dialect(path: Path, options: CsvOptions) -> Dialect:
     """Return the dialect of a file; raise UserError if it is not text."""
     with path.open("rb") as file:
         sample = file.read(SAMPLE)
-        cut_off = bool(file.read(1))
-    encoding = given.encoding or _encoding(sample)
+        is_truncated = bool(file.read(1))
+    encoding = options.encoding or _encoding(sample)
     text = _decode(sample, encoding, path)
     lines = re.split(r"\r\n|\n|\r", text)
-    lines = (lines[:-1] if cut_off and len(lines) > 1 else lines)[:LINES]
-    layouts = [_layout(lines, s) for s in ([given.separator] if given.separator else SEPARATORS)]
-    layout = max(layouts, key=lambda each: (each.explained, each.rows, each.many))
+    lines = (lines[:-1] if is_truncated and len(lines) > 1 else lines)[:LINES]
+    layouts = [_layout(lines, s) for s in ([options.separator] if options.separator else SEPARATORS)]
+    layout = max(layouts, key=lambda each: (each.share, each.rows, each.many))
     separator, many = layout.separator, layout.many
-    head, first = _head(lines, layout, given.head)
+    head, first = _head(lines, layout, options.head)
     rows = [cells for line in lines[first:] if len(cells := _cells(line, separator)) == many and not _is_comment(line)]
     columns = list(zip(*rows, strict=True)) or [()] * many
-    decimal = given.decimal or ("," if any("," in c and _kind(c) == "number" for row in rows for c in row) else ".")
+    decimal = options.decimal or ("," if any("," in c and _kind(c) == "number" for row in rows for c in row) else ".")
     if not head:
         head = list(TUM if separator == " " and many == len(TUM) else map(str, range(many)))
     types = tuple(map(_type, columns))
@@ -141,8 +141,8 @@ def _is_comment(line: str) -> bool:
 def _layout(lines: list[str], separator: str) -> Layout:
     """Return how well a separator explains some lines, and where their rows begin."""
     cells = {i: _cells(line, separator) for i, line in enumerate(lines) if line.strip() and not _is_comment(line)}
-    kinds = {i: [_kind(cell) for cell in mine] for i, mine in cells.items()}
-    numbers = {i for i, mine in kinds.items() if KINDS.keys() & set(mine)}
+    kinds = {i: [_kind(cell) for cell in row] for i, row in cells.items()}
+    numbers = {i for i, row in kinds.items() if KINDS.keys() & set(row)}
     counts = Counter(len(kinds[i]) for i in numbers)
     many = max(counts, key=lambda n: (counts[n], n), default=len(next(iter(cells.values()), [])))
     run: list[int] = []
@@ -156,29 +156,29 @@ def _layout(lines: list[str], separator: str) -> Layout:
         if any(kind == "word" and "word" not in each for kind, each in zip(kinds[run[-1]], below, strict=True)):
             run.pop()
     every = [kind for i in run for kind in kinds[i]]
-    explained = sum(kind != "word" for kind in every) / max(len(every), 1)
+    share = sum(kind != "word" for kind in every) / max(len(every), 1)
     first = run[-1] if run else next(iter(cells), -1) + 1
-    return Layout(min(explained, 1.0 if many > 1 else ALONE), len(run), separator, first, many)
+    return Layout(min(share, 1.0 if many > 1 else ALONE), len(run), separator, first, many)
 
 
-def _head(lines: list[str], layout: Layout, given: int | None) -> tuple[list[str], int]:
+def _head(lines: list[str], layout: Layout, number: int | None) -> tuple[list[str], int]:
     """Return the names of the columns, with units if the line below has them, and the line of the first row."""
-    if given is not None:
-        return (_cells(lines[given - 1], layout.separator) if 0 < given <= len(lines) else []), max(layout.first, given)
+    if number is not None:
+        names = _cells(lines[number - 1], layout.separator) if 0 < number <= len(lines) else []
+        return names, max(layout.first, number)
     above = [line for line in lines[: layout.first] if line.strip()][-2:]
-    before: list[list[str]]
-    *before, names = [[], *(_cells(COMMENT.sub("", line), layout.separator) for line in above)]
+    *before, names = [list[str](), *(_cells(COMMENT.sub("", line), layout.separator) for line in above)]
     units = [cell.strip("[]()") for cell in names]
     if len(names) != layout.many:
         return [], layout.first
     over = before[-1] if before and not _is_comment(above[0]) else []
     if len(over) == layout.many and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(over, units, strict=True)):
-        named = zip(over, units, strict=True)
-        names = [f"{name} [{unit}]" if unit and "[" not in name else name for name, unit in named]
+        pairs = zip(over, units, strict=True)
+        names = [f"{name} [{unit}]" if unit and "[" not in name else name for name, unit in pairs]
     return names, layout.first
 
 
-def squeezed() -> Callable[[bytes], bytes]:
+def blank_squeezer() -> Callable[[bytes], bytes]:
     """Return a function that replaces each run of blanks in a file by one, in chunks."""
     rest = b""
 

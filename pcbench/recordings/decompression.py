@@ -26,12 +26,13 @@ COMPRESSED = 15  # the type of a compressed variable
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"  # first bytes of such files
 
 
-def require_small(unpacked: int, file: int, where: str) -> None:
+def require_small(size: int, file_size: int, where: str) -> None:
     """Raise UserError if the unpacked size [bytes] is too large for the size of the file [bytes]."""
-    if unpacked > max(PLAIN, RATIO * file):
+    limit = max(PLAIN, RATIO * file_size)
+    if size > limit:
         raise UserError(
-            f"{where}: got {file / 1e6:.3g} MB that unpack to more than {max(PLAIN, RATIO * file) / 1e6:.3g} MB, expected at "
-            f"most {RATIO} times as much; save it without compression."
+            f"{where}: got {file_size / 1e6:.3g} MB that unpack to more than {limit / 1e6:.3g} MB, expected at most {RATIO} "
+            "times as much; save it without compression."
         )
 
 
@@ -43,32 +44,32 @@ def require_small_mat(path: Path, where: str) -> None:
         while order is not None and len(tag := file.read(8)) == 8:
             kind, many = struct.unpack(f"{order}II", tag)
             end = file.tell() + many
-            for unpacked in _sizes(file.read(many)) if kind == COMPRESSED else [many]:
-                total += unpacked
+            for unpacked_size in _sizes(file.read(many)) if kind == COMPRESSED else [many]:
+                total += unpacked_size
                 require_small(total, size, where)
             file.seek(end)
 
 
-def _sizes(packed: bytes) -> Iterator[int]:
+def _sizes(chunk: bytes) -> Iterator[int]:
     """Yield the unpacked sizes of the parts of a compressed variable; damage ends the iteration, as the reader reports it."""
     unpack = zlib.decompressobj()
     with suppress(zlib.error):
-        while packed and not unpack.eof:
-            yield len(unpack.decompress(packed, STEP))
-            packed = unpack.unconsumed_tail
+        while chunk and not unpack.eof:
+            yield len(unpack.decompress(chunk, STEP))
+            chunk = unpack.unconsumed_tail
 
 
-def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) -> None:
+def require_small_stream(stream: BinaryIO, codec: str, size: int, where: str) -> None:
     """Raise UserError if data packed as zstd, lz4 or bz2, of `size` bytes, is too large unpacked."""
     total = 0
-    with _left_to_its_reader(), pa.CompressedInputStream(packed, codec) as file:
+    with _ignore_damage(), pa.CompressedInputStream(stream, codec) as file:
         while step := len(file.read(STEP)):
             total += step
             require_small(total, size, where)
 
 
 @contextmanager
-def _left_to_its_reader() -> Iterator[None]:
+def _ignore_damage() -> Iterator[None]:
     """Ignore damage in a check, as the reader reports it."""
     try:
         yield
@@ -97,7 +98,7 @@ def _require_small_chunks(file: BinaryIO, where: str, most: int | None = None) -
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader
 
-    with _left_to_its_reader():
+    with _ignore_damage():
         for record in islice(StreamReader(file, skip_magic=most is not None, emit_chunks=True).records, most):
             if isinstance(record, Chunk) and record.compression in ("zstd", "lz4"):
                 require_small_stream(BytesIO(record.data), record.compression, len(record.data), where)
@@ -116,8 +117,8 @@ def require_small_bag(path: Path, where: str) -> None:
                 require_small_stream(file, "zstd", each.stat().st_size, where)
         if head.startswith(MCAP):
             require_small_mcap(each, where)
-    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as opened:
-        for reader in opened.readers:
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+        for reader in bag.readers:
             for chunk in getattr(reader, "chunks", {}).values():
                 codec = chunk.decompressor.__module__.partition(".")[0]  # name of its package
                 with path.open("rb") as file:

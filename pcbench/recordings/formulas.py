@@ -88,18 +88,18 @@ def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
     """Return a function that computes a formula for one part of a recording after another."""
     last: dict[int, Floats] = {}  # last number of each `unwrap` and `diff`, by the identity of its node
 
-    def of(node: Tree, part: Columns) -> Any:
+    def evaluate_node(node: Tree, part: Columns) -> Any:
         if not isinstance(node, tuple):
             return (np.pi if node == "pi" else part[node]) if isinstance(node, str) else node
-        given = [of(each, part) for each in node[1:]]
+        arguments = [evaluate_node(each, part) for each in node[1:]]
         if node[0] in PLAIN:
-            return PLAIN[node[0]][0](*given)
+            return PLAIN[node[0]][0](*arguments)
         if node[0] in expression.OPERATORS:
-            return expression.OPERATORS[node[0]](*given)
-        before, exists = last.get(id(node), np.zeros(0)), np.isfinite(given[0])
-        row, out = np.concatenate([before, given[0][exists]]), np.full(given[0].shape, np.nan)
+            return expression.OPERATORS[node[0]](*arguments)
+        before, exists = last.get(id(node), np.zeros(0)), np.isfinite(arguments[0])
+        row, out = np.concatenate([before, arguments[0][exists]]), np.full(arguments[0].shape, np.nan)
         if node[0] == "unwrap":
-            row = np.unwrap(row, period=given[1] if len(given) > 1 else 2 * np.pi)
+            row = np.unwrap(row, period=arguments[1] if len(arguments) > 1 else 2 * np.pi)
             out[exists] = row[len(before) :]
         else:
             out[exists] = np.diff(row, prepend=[np.nan] * (1 - len(before)))
@@ -109,6 +109,6 @@ def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
     def evaluate(part: Columns) -> Floats:
         many = next(iter(part.values())).shape
         with np.errstate(all="ignore"):  # users of the result check that it is finite
-            return np.broadcast_to(np.asarray(of(tree, part), float), many)
+            return np.broadcast_to(np.asarray(evaluate_node(tree, part), float), many)
 
     return evaluate

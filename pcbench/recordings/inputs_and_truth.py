@@ -55,12 +55,12 @@ def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
 
         carry = pd.Series(0.0, list(order))
         for rows in _in_order([_frames(each) for each in tables]):
-            found = rows.groupby(level=0).last()  # of several rows at one time, the last value
-            values = found.reindex(columns=list(order))
+            by_time = rows.groupby(level=0).last()  # of several rows at one time, the last value
+            values = by_time.reindex(columns=list(order))
             if hold:
                 values = values.ffill().fillna(carry)
                 carry = values.iloc[-1]
-            yield Rows(found.index.to_numpy(), values.to_numpy(float), found["row"].to_numpy(int))
+            yield Rows(by_time.index.to_numpy(), values.to_numpy(float), by_time["row"].to_numpy(int))
 
     return Table(tuple(order), read)
 
@@ -76,11 +76,11 @@ def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame
     """Yield rows of several tables, each with increasing times, merged in order of time."""
     import pandas as pd
 
-    waiting = [next(reader, None) for reader in readers]
-    while rest := [each for each in waiting if each is not None]:
+    pending = [next(reader, None) for reader in readers]
+    while rest := [each for each in pending if each is not None]:
         until = min(each.index[-1] for each in rest)
         yield pd.concat([each[each.index <= until] for each in rest])
-        for i, each in enumerate(waiting):
+        for i, each in enumerate(pending):
             if each is not None:
                 later = each[each.index > until]
-                waiting[i] = later if len(later) else next(readers[i], None)
+                pending[i] = later if len(later) else next(readers[i], None)

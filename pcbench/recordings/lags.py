@@ -42,17 +42,15 @@ def lags_of(log: Log) -> list[Lag]:
     counts = np.zeros(len(log.channels), int)
     for batch in log.measurements():
         for c in range(len(parts)):
-            mine = (batch.channel == c) & np.isfinite(batch.value)
-            if counts[c] < MOST and mine.any():
-                parts[c].append(np.stack([batch.sampled[mine], batch.value[mine]], 1))
-                counts[c] += mine.sum()
+            mask = (batch.channel == c) & np.isfinite(batch.value)
+            if counts[c] < MOST and mask.any():
+                parts[c].append(np.stack([batch.sampled[mask], batch.value[mask]], 1))
+                counts[c] += mask.sum()
         if (counts >= MOST).all():
             break
     series = [np.concatenate(p) if p else np.zeros((0, 2)) for p in parts]
-    found = (
-        _lag(log.channels[i], log.channels[j], series[i], series[j]) for i, j in combinations(range(len(parts)), 2)
-    )
-    return [each for each in found if each is not None]
+    lags = (_lag(log.channels[i], log.channels[j], series[i], series[j]) for i, j in combinations(range(len(parts)), 2))
+    return [each for each in lags if each is not None]
 
 
 def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
@@ -76,11 +74,11 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
         x, y = ra[inner], rb[inner + shift]
         for i, product in enumerate((x * y, x * x, y * y)):
             sums[:, k, i] = np.bincount(block, product, BLOCKS)
-    whole = sums.sum(0)
-    lag, c = _peak(whole, shifts)
+    total = sums.sum(0)
+    lag, c = _peak(total, shifts)
     if not abs(c) > ALIKE:
         return None
-    each = np.array([_peak(whole - one, shifts)[0] for one in sums])
+    each = np.array([_peak(total - one, shifts)[0] for one in sums])
     half = T9 * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.square(each - each.mean()).sum()))
     if 2 * half > reach:  # an interval as long as half the range of the search determines no lag
         return None

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError, unreadable
-from pcbench.recordings.csv_dialects import FOUND, CsvOptions
+from pcbench.recordings.csv_dialects import CSV_DEFAULTS, CsvOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -78,10 +78,10 @@ class Source(NamedTuple):
     unit: str | None  # of times that are numbers; None: the default of the format
     where: str  # place of the request, for messages
     topics: set[str]  # all topics requested from this file
-    loaded: dict[str, Any]  # data of the file that sources share
-    csv: CsvOptions = FOUND
+    cache: dict[str, Any]  # data of the file that sources share
+    csv: CsvOptions = CSV_DEFAULTS
     frame: str = ""  # child frame of the requested transforms, in messages with several
-    defaulted: bool = False  # the timestamp field is a default: a message without it has its receive time
+    default_stamp: bool = False  # the timestamp field is a default: a message without it has its receive time
 
     @property
     def place(self) -> str:
@@ -111,7 +111,7 @@ def shift_stamps(log: Log, offsets: Floats) -> Log:
 
 
 @contextmanager
-def reading(source: Source, expected: str) -> Iterator[None]:
+def convert_errors(source: Source, expected: str) -> Iterator[None]:
     """Convert any exception of a library on a damaged file into a UserError with what was `expected`."""
     try:
         yield
@@ -121,9 +121,9 @@ def reading(source: Source, expected: str) -> Iterator[None]:
         raise unreadable(error, source.place, expected) from None
 
 
-def require_topic(topic: str, existing: Iterable[str], where: str) -> None:
+def require_topic(topic: str, topics: Iterable[str], where: str) -> None:
     """Raise UserError for a topic that a file does not have."""
-    names = sorted(existing)
+    names = sorted(topics)
     if topic not in names:
         got = f"the topic '{topic}'" if topic else "no topic"
         raise UserError(f"{where}: got {got}, expected one of {', '.join(names) or 'none: it is empty'}; write that.")

@@ -15,7 +15,7 @@ import numpy as np
 
 from pcbench.errors import UserError, unknown
 from pcbench.recordings.decompression import require_small, require_small_mat
-from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Columns, Source, Topic, reading
+from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Columns, Source, Topic, convert_errors
 
 if TYPE_CHECKING:
     import h5py
@@ -27,13 +27,13 @@ KINDS = {"U": "text", "S": "text", "c": "complex numbers"}
 
 def columns(source: Source) -> Iterator[Columns]:
     """Yield vectors, times in seconds."""
-    if not source.loaded:
+    if not source.cache:
         names = {topic.partition(".")[0] for topic in source.topics}
-        source.loaded.update(variables(source, None if "" in names else sorted(names)))
-    struct: Any = source.loaded
+        source.cache.update(variables(source, None if "" in names else sorted(names)))
+    struct: Any = source.cache
     for part in filter(None, source.topic.split(".")):
         if not isinstance(struct.get(part), dict):
-            every = variables(source, None) if struct is source.loaded else struct
+            every = variables(source, None) if struct is source.cache else struct
             raise unknown(source.place, "struct", part, [name for name, v in every.items() if isinstance(v, dict)])
         struct = struct[part]
     out = {}
@@ -103,17 +103,17 @@ def variables(source: Source, names: list[str] | None) -> dict[str, Any]:
     """Return the variables of these names (None: all), structs as dicts."""
     from scipy.io import loadmat
 
-    with reading(source, "a whole MATLAB file; save it again with -v7"):
+    with convert_errors(source, "a whole MATLAB file; save it again with -v7"):
         with source.path.open("rb") as file:
             head = file.read(520)
         if NEWER in (head[:8], head[512:]):
             import h5py
 
-            with h5py.File(source.path, "r") as opened:
-                return _group(source, opened, names, [0], DEEPEST)
+            with h5py.File(source.path, "r") as hdf:
+                return _group(source, hdf, names, [0], DEEPEST)
         require_small_mat(source.path, source.place)
-        found = loadmat(source.path, simplify_cells=True, variable_names=names)
-    return {name: value for name, value in found.items() if name[:2] != "__"}
+        contents = loadmat(source.path, simplify_cells=True, variable_names=names)
+    return {name: value for name, value in contents.items() if name[:2] != "__"}
 
 
 def _group(
@@ -124,8 +124,8 @@ def _group(
 
     out: dict[str, Any] = {}
     for name in group:
-        mine = (names is None or name in names) and name[:1] != "#" and deepest
-        value = group[name] if mine and isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+        is_requested = (names is None or name in names) and name[:1] != "#" and deepest
+        value = group[name] if is_requested and isinstance(group.get(name, getlink=True), h5py.HardLink) else None
         if isinstance(value, h5py.Group):
             out[name] = _group(source, value, None, total, deepest - 1)
         elif isinstance(value, h5py.Dataset) and not value.external and not value.is_virtual:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pcbench.errors import UserError
 from pcbench.recordings import messages
 from pcbench.recordings.decompression import require_small_mcap
-from pcbench.recordings.log import Columns, Source, Topic, reading, require_topic
+from pcbench.recordings.log import Columns, Source, Topic, convert_errors, require_topic
 
 if TYPE_CHECKING:
     from mcap.reader import McapReader
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def topics(source: Source) -> Iterator[Topic]:
     """Yield the topics, each by its first message; one with an unsupported encoding has no fields."""
-    with _opened(source) as reader:
+    with _open_reader(source) as reader:
         summary = reader.get_summary()
         schemas, channels = (summary.schemas, summary.channels) if summary else ({}, {})
         kinds = {each.topic: getattr(schemas.get(each.schema_id), "name", "") for each in channels.values()}
@@ -33,25 +33,25 @@ def topics(source: Source) -> Iterator[Topic]:
 
 def columns(source: Source) -> Iterator[Columns]:
     """Yield parts of a topic's fields."""
-    with _opened(source) as reader:
+    with _open_reader(source) as reader:
         summary = reader.get_summary()
         if summary is not None:
             require_topic(source.topic, {each.topic for each in summary.channels.values()}, source.where)
         # in order of time; without an index in file order, as sorting would hold all messages in memory
-        indexed = summary is not None and bool(summary.chunk_indexes)
-        raw = reader.iter_messages(topics=[source.topic], log_time_order=indexed)
+        has_index = summary is not None and bool(summary.chunk_indexes)
+        raw = reader.iter_messages(topics=[source.topic], log_time_order=has_index)
         yield from messages.columns(_decode(raw, source.where), source)
 
 
 @contextmanager
-def _opened(source: Source) -> Iterator["McapReader"]:
+def _open_reader(source: Source) -> Iterator["McapReader"]:
     """Yield the reader of a file; its exceptions become UserErrors."""
     from mcap.reader import make_reader
 
-    with reading(source, "a whole MCAP file; repair it with mcap recover"):
-        if not source.loaded:
+    with convert_errors(source, "a whole MCAP file; repair it with mcap recover"):
+        if not source.cache:
             require_small_mcap(source.path, source.place)
-            source.loaded["is small"] = True
+            source.cache["is small"] = True
         with source.path.open("rb") as file:
             yield make_reader(file, validate_crcs=True)  # without CRC validation damaged data is skipped silently
 

@@ -19,8 +19,8 @@ NONE = object()  # marks a missing field
 def columns(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[Columns]:
     """Yield parts of the fields of messages (received [ns], message); times in seconds, numbers in the source's time unit."""
     rows: list[list[float]] = []
-    for number, (received, message) in enumerate(_of_frame(messages, source) if source.frame else messages, 1):
-        rows.append([_number(received, message, field, source, number) for field in source.fields])
+    for number, (receive_time, message) in enumerate(_of_frame(messages, source) if source.frame else messages, 1):
+        rows.append([_number(receive_time, message, field, source, number) for field in source.fields])
         if len(rows) == MANY:
             yield dict(zip(source.fields, np.array(rows, float).T, strict=True))
             rows = []
@@ -72,25 +72,25 @@ def _names(value: object) -> list[str]:
 def _of_frame(messages: Iterable[tuple[int, object]], source: Source) -> Iterator[tuple[int, object]]:
     """Yield the transforms to one child frame, from messages with several."""
     frames: set[str] = set()
-    for received, message in messages:
+    for receive_time, message in messages:
         transforms = _member(message, "transforms")
         for each in transforms if isinstance(transforms, list) else []:
             frames.add(str(_member(each, "child_frame_id")))
             if _member(each, "child_frame_id") == source.frame:
-                yield received, each
+                yield receive_time, each
     if source.frame not in frames:
         raise unknown(f"{source.where}: {source.topic}", "child frame", source.frame, frames)
 
 
-def _number(received: int, message: Any, field: str, source: Source, number: int) -> float:
+def _number(receive_time: int, message: Any, field: str, source: Source, number: int) -> float:
     if field == RECEIVED:
-        return _seconds(*divmod(received, 10**9))
+        return _seconds(*divmod(receive_time, 10**9))
     where, value = f"{source.where}: message {number}", message
     for part in field.split("."):
         is_list = part.isdecimal() and hasattr(value, "__len__")
         inner = (value[int(part)] if int(part) < len(value) else NONE) if is_list else _member(value, part)
-        if inner is NONE and field in source.times and source.defaulted:
-            return _seconds(*divmod(received, 10**9))
+        if inner is NONE and field in source.times and source.default_stamp:
+            return _seconds(*divmod(receive_time, 10**9))
         if inner is NONE:
             times = ', or sampled = "received" if it has no stamp' if field in source.times else ""
             raise UserError(
@@ -112,9 +112,9 @@ def _number(received: int, message: Any, field: str, source: Source, number: int
         ) from None
 
 
-def _seconds(whole: float, ns: float) -> float:
+def _seconds(seconds: float, ns: float) -> float:
     """Return a timestamp [s] with consistent rounding: a message received at its timestamp must not arrive earlier."""
-    return float(whole) + 1e-9 * float(ns)
+    return float(seconds) + 1e-9 * float(ns)
 
 
 def _member(value: object, name: str) -> Any:

@@ -37,7 +37,7 @@ from pcbench import toml_text
 from pcbench.errors import UserError, first_sentence, unknown
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
 from pcbench.recordings.corrections import Changes, Samples, TablesToml, correct_tables
-from pcbench.recordings.csv_dialects import FOUND, CsvOptions
+from pcbench.recordings.csv_dialects import CSV_DEFAULTS, CsvOptions
 from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import Times, merge, table_of
 from pcbench.recordings.log import SECONDS, Batch, Columns, Log, Source, Table
@@ -76,7 +76,7 @@ class Mapping(BaseModel):
     model_config = ConfigDict(extra="forbid")
     log: str
     time_unit: Literal[*SECONDS] | None = None  # type: ignore[valid-type]
-    csv: CsvOptions = FOUND
+    csv: CsvOptions = CSV_DEFAULTS
     period: float | None = Field(None, gt=0)
     channels: dict[str, Column] = Field(min_length=1)
     inputs: dict[str, Column] = {}
@@ -128,11 +128,11 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
 def open_toml(path: Path, delay: float | None = None) -> Log:
     """Return the log that a TOML describes; raise UserError with the invalid key."""
     raw = _parse(path)
-    if isinstance(named := raw.get("log"), str) and not (path.parent / named).exists():
-        raise UserError(f"{path.name}: log: got {named}, expected a file or folder next to it; correct the name.")
-    if isinstance(named, str) and has_tables(path.parent / named) and not _maps_fields(raw):
-        return _open_corrected(path, _validated(TablesToml, raw, path), delay)
-    toml = _validated(Mapping, raw, path)
+    if isinstance(log_name := raw.get("log"), str) and not (path.parent / log_name).exists():
+        raise UserError(f"{path.name}: log: got {log_name}, expected a file or folder next to it; correct the name.")
+    if isinstance(log_name, str) and has_tables(path.parent / log_name) and not _maps_fields(raw):
+        return _open_with_corrections(path, _validate(TablesToml, raw, path), delay)
+    toml = _validate(Mapping, raw, path)
     for what in ("channels", "inputs", "truth"):
         for name, column in getattr(toml, what).items():
             unit(column.unit, f"{path.name}: {what}.{name}.unit")
@@ -140,12 +140,12 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     kind = format_of(file, f"{path.name}: log")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
     _require_one_time_axis(toml, kind, file, path.name)
-    if kind not in MESSAGES and (named := next((c.frame for c in every if c.frame), None)):
-        raise UserError(f"{path.name}: frame: got '{named}', expected it of bags and MCAP files alone; leave it out.")
+    if kind not in MESSAGES and (frame := next((c.frame for c in every if c.frame), None)):
+        raise UserError(f"{path.name}: frame: got '{frame}', expected it of bags and MCAP files alone; leave it out.")
     for c in every:
         c.period = c.period or (None if c.sampled or c.t else toml.period)
     topics = {c.topic for c in every}
-    source = Source(file, "", [], set(), toml.time_unit, path.name, topics=topics, loaded={}, csv=toml.csv)
+    source = Source(file, "", [], set(), toml.time_unit, path.name, topics=topics, cache={}, csv=toml.csv)
     channels = [_channel(c, kind, source, i, name, delay) for i, (name, c) in enumerate(toml.channels.items())]
 
     def measurements() -> Iterator[Batch]:
@@ -159,8 +159,8 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
 def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
     """Raise UserError if a period has no effect, or if a table mixes a period with a column of times."""
     each = {f"{what}.{name}": c for what in ("channels", "inputs", "truth") for name, c in getattr(toml, what).items()}
-    own = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
-    if toml.period and all(own):
+    has_time = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
+    if toml.period and all(has_time):
         raise UserError(
             f"{where}: got a period and times of {next(iter(each))}, expected one of them; leave one out, or write the period "
             "there."
@@ -168,13 +168,13 @@ def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) 
     with_period = next((name for name, c in each.items() if c.period or toml.period), None)
     if kind is not TABLE or with_period is None:
         return
-    if not toml.period and not all(own):
+    if not toml.period and not all(has_time):
         raise UserError(
-            f"{where}: got a period of {with_period} and no time of {list(each)[own.index(False)]}, expected both of one kind "
-            "for the rows of a table; write the period of the whole file, or name the column of times there."
+            f"{where}: got a period of {with_period} and no time of {list(each)[has_time.index(False)]}, expected both of "
+            "one kind for the rows of a table; write the period of the whole file, or name the column of times there."
         )
-    named = {c.sampled or c.t for c in each.values()}
-    if kind.stamp not in named and any(
+    time_columns = {c.sampled or c.t for c in each.values()}
+    if kind.stamp not in time_columns and any(
         tables.name_and_unit(head)[0] == kind.stamp for head in tables.heads(file, toml.csv)
     ):
         raise UserError(
@@ -206,7 +206,7 @@ def _parse(path: Path) -> TomlTable:
         ) from None
 
 
-def _validated(model: type[M], raw: TomlTable, path: Path) -> M:
+def _validate(model: type[M], raw: TomlTable, path: Path) -> M:
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -257,7 +257,7 @@ def has_tables(file: Path) -> bool:
     return tables.has_channels(file)
 
 
-def _open_corrected(path: Path, toml: TablesToml, delay: float | None) -> Log:
+def _open_with_corrections(path: Path, toml: TablesToml, delay: float | None) -> Log:
     """Return tables with the corrections of a TOML; `delay` [s] is that of channels without one."""
     file, late = path.parent / toml.log, not tables.has_arrivals(path.parent / toml.log)
     log = tables.open_tables(file, 0.0 if late else delay)
@@ -274,8 +274,8 @@ def _channel(
     """Return a function that reads a channel; `delay` [s] or its own replaces arrival times."""
     where, late = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
     stamp, times = _stamps(c, c.sampled, kind, where)
-    arrived = c.arrived or (None if late is not None or c.period else kind.arrived)
-    if arrived is None and late is None:
+    arrival_field = c.arrived or (None if late is not None or c.period else kind.arrived)
+    if arrival_field is None and late is None:
         raise UserError(
             f"{where}: got neither arrived nor delay, expected one: this kind of file does not say when samples arrived; "
             "write delay = 0.0 if they came at once."
@@ -287,9 +287,9 @@ def _channel(
     if c.t:
         raise UserError(f"{where}: got t, expected sampled: a channel has that in its place; write sampled.")
     spread, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
-    named = [each for each in (stamp, arrived) if each]
-    fields = [*value.fields, *named, *([spread] if spread else [])]
-    source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(named))
+    time_fields = [each for each in (stamp, arrival_field) if each]
+    fields = [*value.fields, *time_fields, *([spread] if spread else [])]
+    source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(time_fields))
 
     def read() -> Iterator[Batch]:
         row, evaluate, changes = 1, value.evaluator(), Changes()
@@ -298,8 +298,8 @@ def _channel(
             many, std = len(values), np.zeros(0)
             rows = np.arange(row, row + many, dtype=np.int64)
             row += many
-            sampled = times(part, rows) + c.clock_offset
-            came = part[arrived] if arrived else sampled + (late or 0.0)
+            stamps = times(part, rows) + c.clock_offset
+            arrivals = part[arrival_field] if arrival_field else stamps + (late or 0.0)
             if spread:  # empty or negative values become 0, which `require_sound` refuses
                 std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
                 std = abs(c.scale) * (std if c.std else np.sqrt(std))
@@ -307,7 +307,7 @@ def _channel(
             if c.only_changes:
                 exists[exists] = changes(values[exists])
             if exists.any():
-                yield Batch(np.full(many, index), sampled, came, values, rows, std).select(exists)
+                yield Batch(np.full(many, index), stamps, arrivals, values, rows, std).select(exists)
 
     return read
 
@@ -322,12 +322,12 @@ def _stamps(c: Column, field: str | None, kind: Format, where: str) -> tuple[str
     return name, lambda part, _: part[name]
 
 
-def _table(given: dict[str, Column], kind: Format, source: Source, what: str) -> Table | None:
+def _table(columns: dict[str, Column], kind: Format, source: Source, what: str) -> Table | None:
     """Return inputs or truth from one topic or several; those of one topic with one time are read together."""
-    if not given:
+    if not columns:
         return None
     groups: dict[tuple[object, ...], dict[str, Column]] = {}
-    for name, c in given.items():
+    for name, c in columns.items():
         for key in ("std", "variance", "sampled", "arrived", "delay", "clock_offset", "only_changes"):
             if key in c.model_fields_set:
                 remedy = "name the column of the times by t instead" if key == "sampled" else "leave it out"
@@ -344,8 +344,12 @@ def _table(given: dict[str, Column], kind: Format, source: Source, what: str) ->
         fields = list(
             dict.fromkeys([*(field for each in values.values() for field in each.fields), *filter(None, [stamp])])
         )
-        mine = source._replace(
-            topic=c.topic, frame=c.frame, fields=fields, times={each for each in [stamp] if each}, defaulted=c.t is None
+        topic_source = source._replace(
+            topic=c.topic,
+            frame=c.frame,
+            fields=fields,
+            times={each for each in [stamp] if each},
+            default_stamp=c.t is None,
         )
-        tables.append(table_of(partial(kind.columns, mine), times, values, f"{source.where}: {what}"))
-    return merge(tables, list(given), hold=what == "inputs")
+        tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {what}"))
+    return merge(tables, list(columns), hold=what == "inputs")

@@ -6,7 +6,7 @@ import numpy as np
 
 from pcbench.recordings.log import Floats, Ints
 
-KEPT = 1 << 14  # largest selection: every number, then every second, every fourth ...
+MOST = 1 << 14  # largest selection: every number, then every second, every fourth ...
 
 
 class Spread(NamedTuple):
@@ -19,7 +19,7 @@ class Spread(NamedTuple):
     most: float = -np.inf
     most_mark: float = np.nan
     every: int = 1
-    kept: Floats = np.zeros((0, 2))  # [at most KEPT, 2] mark and number
+    selection: Floats = np.zeros((0, 2))  # [at most MOST, 2] mark and number
 
     @property
     def mean(self) -> float:
@@ -28,13 +28,13 @@ class Spread(NamedTuple):
 
     def quantiles(self, *shares: float) -> list[float]:
         """Return quantiles of the selection; NaN if empty."""
-        values = np.quantile(self.kept[:, 1], shares) if self.many else np.full(len(shares), np.nan)
+        values = np.quantile(self.selection[:, 1], shares) if self.many else np.full(len(shares), np.nan)
         return [float(each) for each in values]
 
     @property
     def first_mark(self) -> int | None:
         """Row of the first number; None if empty."""
-        return int(self.kept[0, 0]) if self.many else None
+        return int(self.selection[0, 0]) if self.many else None
 
     @property
     def median(self) -> float:
@@ -49,12 +49,13 @@ def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
     if not numbers.size:
         return before
     first = -before.many % before.every
-    kept, every = np.concatenate([before.kept, np.stack([marks, numbers], 1)[first :: before.every]]), before.every
-    while len(kept) > KEPT:
-        kept, every = kept[::2], 2 * every
+    every = before.every
+    selection = np.concatenate([before.selection, np.stack([marks, numbers], 1)[first::every]])
+    while len(selection) > MOST:
+        selection, every = selection[::2], 2 * every
     low, high = int(np.argmin(numbers)), int(np.argmax(numbers))
     out = before._replace(
-        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=every, kept=kept
+        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=every, selection=selection
     )
     if numbers[low] < out.least:
         out = out._replace(least=float(numbers[low]), least_mark=float(marks[low]))
@@ -78,5 +79,5 @@ def slope(sums: Floats) -> tuple[float, float]:
     if many < 3 or (xx := xx - x**2 / many) <= 0:
         return np.nan, np.nan
     xy, yy = xy - x * y / many, yy - y**2 / many
-    left = max(yy - xy**2 / xx, 0.0) / (many - 2)
-    return xy / xx, float(np.sqrt(left / xx))
+    residual_variance = max(yy - xy**2 / xx, 0.0) / (many - 2)
+    return xy / xx, float(np.sqrt(residual_variance / xx))

@@ -94,7 +94,7 @@ def survey(log: Log) -> Survey:
             continue
         require_sound(log, batch)
         for c in np.unique(batch.channel):
-            every[c] = _more(every[c], batch.select(batch.channel == c))
+            every[c] = _update(every[c], batch.select(batch.channel == c))
         latest = np.maximum.accumulate(np.maximum(batch.sampled, newest))
         behind, newest = max(behind, float((latest - batch.sampled).max())), float(latest[-1])
         times = np.concatenate([batch.sampled, batch.arrived])
@@ -130,71 +130,71 @@ def survey(log: Log) -> Survey:
         start=start,
         end=max(grid.most, start),
         behind=behind,
-        grid=grid.kept[:, 1] - start,
+        grid=grid.selection[:, 1] - start,
         tables=tables,
     )
 
 
-def _more(c: Channel, batch: Batch) -> Channel:
+def _update(c: Channel, batch: Batch) -> Channel:
     """Return the statistics of a channel after further samples."""
-    came, order = ~np.isnan(batch.arrived), np.argsort(batch.sampled, kind="stable")
-    at, delay = batch.sampled[came], (batch.arrived - batch.sampled)[came]
+    arrived, order = ~np.isnan(batch.arrived), np.argsort(batch.sampled, kind="stable")
+    at, delay = batch.sampled[arrived], (batch.arrived - batch.sampled)[arrived]
     stamps, rows, newest = batch.sampled[order], batch.row[order], c.stamps.most
     steps = stamps - np.concatenate([[newest], stamps[:-1]])
-    forward, doubled = np.isfinite(steps) & (steps > 0), steps == 0
+    forward, is_duplicate = np.isfinite(steps) & (steps > 0), steps == 0
     behind = batch.sampled < np.maximum.accumulate(np.concatenate([[newest], batch.sampled[:-1]]))
     change = np.abs(np.diff(delay, prepend=c.last_delay))
-    changed = np.isfinite(change)
-    seen, measured = add(c.stamps, batch.row, batch.sampled), batch.value[~np.isnan(batch.value)]
-    x = at - seen.kept[0, 1]  # since the first timestamp
-    stated = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
-    without = None if stated.all() else int(batch.row[np.argmin(stated)])
+    has_change = np.isfinite(change)
+    stamp_stats, measured = add(c.stamps, batch.row, batch.sampled), batch.value[~np.isnan(batch.value)]
+    x = at - stamp_stats.selection[0, 1]  # since the first timestamp
+    has_std = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
+    row_without_std = None if has_std.all() else int(batch.row[np.argmin(has_std)])
     sums = [x.size, x.sum(), delay.sum(), (x * x).sum(), (x * delay).sum(), (delay * delay).sum()]
     return Channel(
-        stamps=seen,
+        stamps=stamp_stats,
         arrivals=add(c.arrivals, batch.row, batch.arrived),
         intervals=add(c.intervals, stamps[forward], steps[forward]),
         delays=add(c.delays, at, delay),
         out_of_order=add(c.out_of_order, batch.row[behind], batch.sampled[behind]),
-        doubled=add(c.doubled, rows[doubled], stamps[doubled]),
+        doubled=add(c.doubled, rows[is_duplicate], stamps[is_duplicate]),
         last_delay=float(delay[-1]) if delay.size else c.last_delay,
         drift=c.drift + np.array(sums),
         longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
-        steps=largest(c.steps, change[changed], at[changed], batch.row[came][changed]),
+        steps=largest(c.steps, change[has_change], at[has_change], batch.row[arrived][has_change]),
         values=add(c.values, batch.row, batch.value),
         repeated=c.repeated + int((np.diff(measured, prepend=c.last_value) == 0).sum()),
         last_value=float(measured[-1]) if len(measured) else c.last_value,
-        stds=c.stds + int(stated.sum()),
-        without_std=without if c.without_std is None else c.without_std,
+        stds=c.stds + int(has_std.sum()),
+        without_std=row_without_std if c.without_std is None else c.without_std,
     )
 
 
-def limit_truth(log: Log, known: Survey, signals: list[str]) -> tuple[Log, Survey, list[str]]:
+def limit_truth(log: Log, stats: Survey, signals: list[str]) -> tuple[Log, Survey, list[str]]:
     """Return a log with truth only where there are measurements, and a sentence on each omission.
 
     Truth may begin and end five sampling periods of the slowest channel outside them.
     Raises UserError if no truth is left.
     """
     if log.truth is None:
-        return log, known, []
-    out, table, times = [], log.truth, known.tables["truth"]
+        return log, stats, []
+    out, table, times = [], log.truth, stats.tables["truth"]
     if unknown := [name for name in table.names if name not in signals]:
         out.append(f"truth: {', '.join(unknown)}: no state of the plant ({', '.join(signals)}); left out.")
     if not times.many:
         out.append(f"{log.name} has a truth without any value; errors are not computed.")
         return (
             log._replace(truth=None),
-            known._replace(tables={k: v for k, v in known.tables.items() if k != "truth"}),
+            stats._replace(tables={k: v for k, v in stats.tables.items() if k != "truth"}),
             out,
         )
-    margin = GAP * max((c.intervals.median for c in known.channels.values() if c.intervals.many), default=np.inf)
-    low, high = known.start - margin, known.end + margin
+    margin = GAP * max((c.intervals.median for c in stats.channels.values() if c.intervals.many), default=np.inf)
+    low, high = stats.start - margin, stats.end + margin
     if low <= times.least and times.most <= high:
-        return log, known, out
+        return log, stats, out
     if times.most < low or high < times.least:
         raise UserError(
-            f"{log.name}: got truth from {times.least:.6g} to {times.most:.6g} s and measurements from {known.start:.6g} to "
-            f"{known.end:.6g} s, expected a common time; convert the times of the truth, or leave it out."
+            f"{log.name}: got truth from {times.least:.6g} to {times.most:.6g} s and measurements from {stats.start:.6g} to "
+            f"{stats.end:.6g} s, expected a common time; convert the times of the truth, or leave it out."
         )
 
     def read() -> Iterator[Rows]:
@@ -206,16 +206,16 @@ def limit_truth(log: Log, known: Survey, signals: list[str]) -> tuple[Log, Surve
     for part in read():
         inside = add(inside, part.row, part.t)
     out.append(f"truth before {low:.6g} s and after {high:.6g} s is left out: there are no measurements.")
-    return log._replace(truth=table._replace(read=read)), known._replace(tables=known.tables | {"truth": inside}), out
+    return log._replace(truth=table._replace(read=read)), stats._replace(tables=stats.tables | {"truth": inside}), out
 
 
 def require_units(log: Log, expected: list[str]) -> None:
     """Raise UserError if a recording and the plant have different units of a channel; 1 and empty are unknown units."""
-    for name, unit, own in zip(log.channels, log.units, expected, strict=False):
-        if unit not in ("", "1", own) and own not in ("", "1"):
+    for name, unit, plant_unit in zip(log.channels, log.units, expected, strict=False):
+        if unit not in ("", "1", plant_unit) and plant_unit not in ("", "1"):
             raise UserError(
-                f"{log.name}: channels.{name}: got the unit {unit}, expected {own} as in the plant; write scale = FACTOR and "
-                f'unit = "{own}".'
+                f"{log.name}: channels.{name}: got the unit {unit}, expected {plant_unit} as in the plant; write scale = "
+                f'FACTOR and unit = "{plant_unit}".'
             )
 
 
@@ -249,7 +249,7 @@ def _row(name: str, c: Channel) -> dict[str, object]:
         "channel": name,
         "samples": c.stamps.many,
         "lost": c.stamps.many - delay.many,
-        "first": c.stamps.kept[0, 1] if c.stamps.many else np.nan,
+        "first": c.stamps.selection[0, 1] if c.stamps.many else np.nan,
         "last": c.stamps.most if c.stamps.many else np.nan,
         "rate": 1 / interval.mean if interval.many else np.nan,
         "interval_median": interval.median,
@@ -296,12 +296,12 @@ def info(name: "str | Path | Frames", *, delay: float | None = None) -> "pd.Data
     """
     import pandas as pd
 
-    opened = readers.open_log(name, delay)
-    log = survey(opened)
-    table = pd.DataFrame(channel_rows(log))
+    recording = readers.open_log(name, delay)
+    stats = survey(recording)
+    table = pd.DataFrame(channel_rows(stats))
     table.attrs = {
-        "survey": log,
+        "survey": stats,
         "name": str(name) if isinstance(name, str | Path) else "frames",
-        "lags": lags_of(opened),
+        "lags": lags_of(recording),
     }
     return table

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from pyarrow import csv
 
 from pcbench.errors import UserError, short, unknown, unreadable
-from pcbench.recordings.csv_dialects import EMPTY, FOUND, CsvOptions, Dialect, dialect, squeezed
+from pcbench.recordings.csv_dialects import CSV_DEFAULTS, EMPTY, CsvOptions, Dialect, blank_squeezer, dialect
 from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import merge, table_of
 from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Batch, Columns, Floats, Log, Source, Table, Topic
@@ -64,34 +64,36 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
             f"{path}: got a folder without measurements.parquet or measurements.csv, expected one of them; a bag of ROS 2 "
             "needs a TOML that maps its topics to channels (pcbench guide recordings)."
         )
-    named = _find_columns(measured, COLUMNS)
-    if "arrived" not in named and delay is None:
+    head_of = _find_columns(measured, COLUMNS)
+    if "arrived" not in head_of and delay is None:
         raise UserError(
             f"{measured.name}: got no column 'arrived', expected when samples arrived [s]; write the column, "
             "or give --delay."
         )
-    if "arrived" in named and delay is not None:
+    if "arrived" in head_of and delay is not None:
         raise UserError(
             f"{measured.name}: got a column 'arrived' and --delay {delay:g}, expected one of them; leave one out."
         )
-    channels = _channels(measured, named["channel"])
+    channels = _channels(measured, head_of["channel"])
 
     def measurements() -> Iterator[Batch]:
-        wanted, row = [named[name] for name in (*COLUMNS, "arrived", "std") if name in named], 1
-        for part in batches(measured, wanted, [named["channel"]]):
-            sampled = column_of(part, named["sampled"], measured.name, time=True)
-            late = column_of(part, named["arrived"], measured.name, time=True) if delay is None else sampled + delay
-            channel = pc.index_in(words_of(part, named["channel"], measured.name), pa.array(channels))
+        column_heads, row = [head_of[name] for name in (*COLUMNS, "arrived", "std") if name in head_of], 1
+        for part in batches(measured, column_heads, [head_of["channel"]]):
+            stamps = column_of(part, head_of["sampled"], measured.name, time=True)
+            arrivals = (
+                column_of(part, head_of["arrived"], measured.name, time=True) if delay is None else stamps + delay
+            )
+            channel = pc.index_in(words_of(part, head_of["channel"], measured.name), pa.array(channels))
             batch = Batch(
                 channel=channel.to_numpy(zero_copy_only=False).astype(int),
-                sampled=sampled,
-                arrived=late,
-                value=column_of(part, named["value"], measured.name),
+                sampled=stamps,
+                arrived=arrivals,
+                value=column_of(part, head_of["value"], measured.name),
                 row=np.arange(row, row + len(part)),
-                std=column_of(part, named["std"], measured.name) if "std" in named else np.zeros(0),
+                std=column_of(part, head_of["std"], measured.name) if "std" in head_of else np.zeros(0),
             )
             row += len(part)
-            yield batch.select(~np.isnan(batch.value) | np.isnan(late))  # without a value it was lost, or not taken
+            yield batch.select(~np.isnan(batch.value) | np.isnan(arrivals))  # without a value it was lost, or not taken
 
     return Log(measured.name, channels, measurements, _table(inputs, "inputs"), _table(truth, "truth"))
 
@@ -102,7 +104,7 @@ def _file(path: Path | Frames, what: str) -> Path | Frame | None:
         if unknown_names := path.keys() - {"measurements", "inputs", "truth"}:
             raise unknown("the recording", "table", min(unknown_names), ["measurements", "inputs", "truth"])
         frame = Frame(what, pa.table({}))
-        with _readable(frame):
+        with _convert_errors(frame):
             return (
                 frame._replace(table=pa.Table.from_pandas(path[what], preserve_index=False)) if what in path else None
             )
@@ -112,21 +114,21 @@ def _file(path: Path | Frames, what: str) -> Path | Frame | None:
     return next((name for name in names if name.is_file()), None)
 
 
-def _find_columns(path: Path | Frame, wanted: Sequence[str]) -> dict[str, str]:
-    """Return the heads of a file's columns by name, including the wanted ones."""
+def _find_columns(path: Path | Frame, names: Sequence[str]) -> dict[str, str]:
+    """Return the heads of a file's columns by name, including those of `names`."""
     every = heads(path)
-    named = {
+    head_of = {
         name: find_column(every, name, path.name)[0] for name in [name_and_unit(head)[0] for head in every] if name
     }
-    for name in wanted:
+    for name in names:
         find_column(every, name, path.name)
-    for name, head in named.items():
+    for name, head in head_of.items():
         if name_and_unit(head)[1] and name not in ("t", "sampled", "arrived"):
             raise UserError(
                 f"{path.name}: got the column '{head}', expected '{name}' in the unit of the plant; convert its numbers, "
                 "or map the file with a TOML that has a scale."
             )
-    return named
+    return head_of
 
 
 def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
@@ -150,12 +152,12 @@ def _table(path: Path | Frame | None, what: str) -> Table | None:
     """Return a table of t and columns of numbers."""
     if path is None:
         return None
-    named = _find_columns(path, ["t"])
-    t = named.pop("t")
-    source = Source(cast(Path, path), "", [*named.values(), t], {t}, None, path.name, topics=set(), loaded={})
-    if not named:
+    head_of = _find_columns(path, ["t"])
+    t = head_of.pop("t")
+    source = Source(cast(Path, path), "", [*head_of.values(), t], {t}, None, path.name, topics=set(), cache={})
+    if not head_of:
         raise UserError(f"{path.name}: got the column t alone, expected one more at least; write the values at t.")
-    quantities = {name: quantity(head, None, 1.0, 0.0, path.name) for name, head in named.items()}
+    quantities = {name: quantity(head, None, 1.0, 0.0, path.name) for name, head in head_of.items()}
     table = table_of(lambda: columns(source), lambda part, _: part[t], quantities, path.name)
     return merge([table], table.names, hold=what == "inputs")
 
@@ -182,12 +184,12 @@ def as_tables(
     }
 
 
-def heads(path: Path | Frame, given: CsvOptions = FOUND) -> list[str]:
+def heads(path: Path | Frame, options: CsvOptions = CSV_DEFAULTS) -> list[str]:
     """Return the heads of a file's columns as written; raise UserError if it cannot be read."""
     if isinstance(path, Frame):
         return list(map(str, path.table.column_names))
-    with _readable(path):
-        return list(pq.read_schema(path).names if path.suffix.lower() == ".parquet" else dialect(path, given).names)
+    with _convert_errors(path):
+        return list(pq.read_schema(path).names if path.suffix.lower() == ".parquet" else dialect(path, options).names)
 
 
 def has_channels(path: Path) -> bool:
@@ -208,7 +210,7 @@ def name_and_unit(head: str) -> tuple[str, str | None]:
 
 
 def batches(
-    path: Path | Frame, names: Sequence[str], words: Sequence[str] = (), given: CsvOptions = FOUND
+    path: Path | Frame, names: Sequence[str], words: Sequence[str] = (), options: CsvOptions = CSV_DEFAULTS
 ) -> Iterator[pa.RecordBatch]:
     """Yield the columns `names` in parts; all except those of `words` are numbers or times. Errors name the file."""
     if isinstance(path, Frame):
@@ -216,24 +218,24 @@ def batches(
         return
     if path.suffix.lower() == ".parquet":
         # the default reads a group's whole column first
-        with _readable(path), pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
+        with _convert_errors(path), pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
             yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
         return
-    with _readable(path):
-        d = dialect(path, given)
+    with _convert_errors(path):
+        d = dialect(path, options)
     types = {n: pa.string() if n in words else kind for n, kind in zip(d.names, d.types, strict=True) if n in names}
-    convert = csv.ConvertOptions(
+    convert_options = csv.ConvertOptions(
         column_types=types, include_columns=list(names), decimal_point=d.decimal, null_values=NULLS
     )
-    read = csv.ReadOptions(
+    read_options = csv.ReadOptions(
         block_size=BLOCK, use_threads=False, encoding=d.encoding, column_names=d.names, skip_rows=d.skip
     )
-    parse = csv.ParseOptions(
+    parse_options = csv.ParseOptions(
         delimiter=d.separator, invalid_row_handler=lambda row: "skip" if EMPTY.fullmatch(row.text) else "error"
     )
-    with _readable(path, d), pa.OSFile(str(path)) as raw:
-        text = pa.TransformInputStream(raw, squeezed()) if d.separator == " " else raw
-        with csv.open_csv(text, read_options=read, convert_options=convert, parse_options=parse) as file:
+    with _convert_errors(path, d), pa.OSFile(str(path)) as raw:
+        text = pa.TransformInputStream(raw, blank_squeezer()) if d.separator == " " else raw
+        with csv.open_csv(text, read_options, parse_options, convert_options) as file:
             yield from file
 
 
@@ -241,7 +243,7 @@ def columns(source: Source) -> Iterator[Columns]:
     """Yield parts of columns; empty cells are NaN. A field may omit its unit, or be a part of a column: `pose.position.x`."""
     every = heads(source.path, source.csv)
     paths = {field: find_column(every, field, source.place, field in source.times) for field in source.fields}
-    for part in batches(source.path, sorted({head for head, _ in paths.values()}), given=source.csv):
+    for part in batches(source.path, sorted({head for head, _ in paths.values()}), options=source.csv):
         yield {
             name: column_of(part, head, source.where, inner, time=name in source.times, unit=source.unit)
             for name, (head, inner) in paths.items()
@@ -250,7 +252,7 @@ def columns(source: Source) -> Iterator[Columns]:
 
 def topics(source: Source) -> Iterator[Topic]:
     """Yield the one topic of a table: its columns, and the fields of structs."""
-    with _readable(source.path):
+    with _convert_errors(source.path):
         if source.path.suffix.lower() == ".parquet":
             types = [(each.name, each.type) for each in pq.read_schema(source.path)]
         else:
@@ -295,12 +297,12 @@ def column_of(
 
     Raises UserError if it contains something else, or if its unit is unknown or missing.
     """
-    column, where, own = part.column(head), f"{where}: {head}", name_and_unit(head)[1]
-    if time and unit and own in SECONDS and own != unit:
+    column, where, head_unit = part.column(head), f"{where}: {head}", name_and_unit(head)[1]
+    if time and unit and head_unit in SECONDS and head_unit != unit:
         raise UserError(
-            f"{where}: got the time_unit {unit}, expected {own} as in the head; leave time_unit out, or correct it."
+            f"{where}: got the time_unit {unit}, expected {head_unit} as in the head; leave time_unit out, or correct it."
         )
-    unit = unit or own
+    unit = unit or head_unit
     for name in filter(None, inner.split(".")):
         column = _within(column, name, where)
     column = pc.cast(column, pa.timestamp("s")) if time and pa.types.is_date(column.type) else column
@@ -312,8 +314,8 @@ def column_of(
             raise UserError(
                 f"{where}: got times of day that pass midnight, expected times that rise; write them with dates."
             )
-        whole = pa.int32() if pa.types.is_time32(column.type) else pa.int64()
-        column, unit = pc.cast(column, whole), column.type.unit
+        integer_type = pa.int32() if pa.types.is_time32(column.type) else pa.int64()
+        column, unit = pc.cast(column, integer_type), column.type.unit
     if not any(holds(column.type) for holds in NUMBERS):
         got = f"'{short(str(column[0]))}'" if len(column) and isinstance(column[0].as_py(), str) else column.type
         times = ", or times such as 2026-03-01T12:00:00.050" if time else ""
@@ -363,7 +365,7 @@ ROW = re.compile(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+
 
 
 @contextmanager
-def _readable(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
+def _convert_errors(path: Path | Frame, d: Dialect | None = None) -> Iterator[None]:
     """Convert any exception of a reader into a UserError with the file and, for CSV, the row."""
     try:
         yield

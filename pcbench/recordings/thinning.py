@@ -26,25 +26,25 @@ def thin_tables(
     samples = Batch(*(np.concatenate(columns) for columns in zip(*batches, strict=True)))
     samples = samples.select(np.argsort(samples.sampled, kind="stable"))
     number = pd.Series(samples.channel).groupby(samples.channel).cumcount().to_numpy()
-    kept = samples.select(number % every == 0)
+    selection = samples.select(number % every == 0)
     if delays is not None:
-        draw, late = np.random.default_rng(seed), np.zeros(len(kept.row))
+        draw, random_delays = np.random.default_rng(seed), np.zeros(len(selection.row))
         for i, name in enumerate(log.channels):
-            mine = kept.channel == i
-            late[mine] = draw.choice(delays[name], mine.sum())
-        kept = kept._replace(arrived=kept.sampled + late)
+            of_channel = selection.channel == i
+            random_delays[of_channel] = draw.choice(delays[name], of_channel.sum())
+        selection = selection._replace(arrived=selection.sampled + random_delays)
     names = log.channels if truth is None else tuple(truth)
     if len(names) != len(log.channels):
         raise UserError(
             f"--truth: got {len(names)} names, expected one for each of the channels {', '.join(log.channels)}; write them so."
         )
-    known = _whole(log.truth) if log.truth else None
-    if known is None:
+    truth_table = _read_all(log.truth) if log.truth else None
+    if truth_table is None:
         wide = pd.DataFrame({"c": samples.channel, "t": samples.sampled, "v": samples.value}).dropna()
         table = wide.groupby(["t", "c"]).v.last().unstack("c").reindex(columns=range(len(names)))
-        known = names, table.index.to_numpy(), table.to_numpy()
-    inputs = _whole(log.inputs)[1:] if log.inputs else None
-    return as_tables(kept, log.channels, inputs, known)
+        truth_table = names, table.index.to_numpy(), table.to_numpy()
+    inputs = _read_all(log.inputs)[1:] if log.inputs else None
+    return as_tables(selection, log.channels, inputs, truth_table)
 
 
 def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
@@ -66,7 +66,7 @@ def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
     return out
 
 
-def _whole(table: Table) -> tuple[Sequence[str], Floats, Floats]:
+def _read_all(table: Table) -> tuple[Sequence[str], Floats, Floats]:
     """Return a table with its names, times and values."""
     parts = list(table.read())
     return table.names, np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts])

@@ -53,8 +53,8 @@ def better_dt(times: Floats, dt: float, interval: float) -> float | None:
     small = SMALL * interval
     if not interval > 0 or rounding(times, dt) <= small:
         return None
-    tried = sorted({base / n for base in (interval, dt) for n in DIVISORS if base / n < dt * (1 - 1e-9)}, reverse=True)
-    return next((h for h in tried if rounding(times, h) <= small), float(f"{2 * small:.1g}"))
+    steps = sorted({base / n for base in (interval, dt) for n in DIVISORS if base / n < dt * (1 - 1e-9)}, reverse=True)
+    return next((h for h in steps if rounding(times, h) <= small), float(f"{2 * small:.1g}"))
 
 
 def require_sound(log: Log, batch: Batch) -> None:
@@ -108,7 +108,7 @@ class TimeColumn(NamedTuple):
 def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
     """Raise UserError for times of two clocks, with the row, or with the columns that differ."""
     columns = [c for c in columns if c.times.many]
-    some = [c.times.kept[:, 1] for c in columns]
+    some = [c.times.selection[:, 1] for c in columns]
     times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *some]))
     gaps = np.diff(times)
     order = np.argsort(-gaps, kind="stable")

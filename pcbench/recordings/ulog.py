@@ -10,18 +10,18 @@ from io import StringIO
 import numpy as np
 
 from pcbench.errors import UserError, unknown
-from pcbench.recordings.log import SECONDS, Columns, Source, Topic, reading, require_topic
+from pcbench.recordings.log import SECONDS, Columns, Source, Topic, convert_errors, require_topic
 
 
 def columns(source: Source) -> Iterator[Columns]:
     """Yield a topic's fields. A message without timestamp_sample has the time at which it was logged."""
     name, _, instance = source.topic.partition(".")
     topic = f"{name}.{instance}" if instance not in ("", "0") else name
-    if not source.loaded:
-        source.loaded.update(_topics(source, sorted({each.partition(".")[0] for each in source.topics})))
-    if topic not in source.loaded:
+    if not source.cache:
+        source.cache.update(_topics(source, sorted({each.partition(".")[0] for each in source.topics})))
+    if topic not in source.cache:
         require_topic(topic, _topics(source, None), source.where)
-    data, out = source.loaded[topic], {}
+    data, out = source.cache[topic], {}
     for field in source.fields:
         column = "timestamp" if field == "timestamp_sample" and field not in data else field
         if column not in data:
@@ -41,7 +41,7 @@ def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.n
     """Return the fields of topics of these names (None: all), by topic."""
     from pyulog import ULog
 
-    with reading(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # of skipped data
+    with convert_errors(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # of skipped data
         log = ULog(str(source.path), names)
     if log.file_corruption or "corrupt" in remarks.getvalue():
         raise UserError(

@@ -29,8 +29,8 @@ class Stretch(NamedTuple):
 
     first: int
     end: int
-    taken: pd.DataFrame  # taken in the block, in sampling order, at one tick in the order of channels
-    arriving: pd.DataFrame  # arriving in the block, by tick of arrival, then of sampling, then by channel
+    samples: pd.DataFrame  # taken in the block, in sampling order, at one tick in the order of channels
+    arrivals: pd.DataFrame  # arriving in the block, by tick of arrival, then of sampling, then by channel
 
 
 class Window(NamedTuple):
@@ -55,8 +55,8 @@ class Room(NamedTuple):
     flight: int = 1  # packets in flight, including the one taken now
     overtaking: int = 0  # newer packets that arrive before an older one
     latest: int = 0  # largest age at arrival
-    apart: int = 0  # longest time from one packet to the next
-    apart_row: int = 0  # row of the latter
+    longest_gap: int = 0  # longest time from one packet to the next
+    longest_gap_row: int = 0  # row of the latter
     recent: Ints = np.zeros((0, 3), np.int64)  # (taken, arrives, packet) of packets that matter for the next block
     newest: int = 0  # tick at which the last packet was taken
 
@@ -66,15 +66,15 @@ def cut(parts: Iterator[pd.DataFrame], length: int, last: int, behind: int = 0) 
 
     The index of the parts (at least one) is their ticks, none below 0. A row may be `behind` ticks behind an earlier row.
     """
-    waiting = [next(parts)]
-    newest = waiting[0].index.max()
+    pending = [next(parts)]
+    newest = pending[0].index.max()
     for first in range(0, last + 1, length):
         while not newest - behind >= first + length and (part := next(parts, None)) is not None:
-            waiting.append(part)
+            pending.append(part)
             newest = np.fmax(newest, part.index.max())
-        rows = pd.concat(waiting)
+        rows = pd.concat(pending)
         here = rows.index < first + length
-        waiting = [rows[~here]]
+        pending = [rows[~here]]
         yield first, rows[here]
 
 
@@ -89,17 +89,17 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
             if len(batch.row):
                 require_sound(log, batch)
                 columns = {"channel": batch.channel, "arrives": clock.ticks(batch.arrived), "value": batch.value}
-                taken = clock.ticks(batch.sampled)
-                std = batch.std if len(batch.std) else np.full(len(taken), np.nan)
-                part = pd.DataFrame(columns | {"std": std, "row": batch.row, "taken": taken}, index=taken)
-                yield part[(taken >= 0) & (taken <= last)]
+                ticks = clock.ticks(batch.sampled)
+                std = batch.std if len(batch.std) else np.full(len(ticks), np.nan)
+                part = pd.DataFrame(columns | {"std": std, "row": batch.row, "taken": ticks}, index=ticks)
+                yield part[(ticks >= 0) & (ticks <= last)]
 
     numbers, packets, under_way = np.zeros(len(log.channels), np.int64), 0, None
     for first, rows in cut(parts(), length, last, int(survey.behind / clock.dt) + 2):
         end, samples = first + length, rows.sort_values(["taken", "channel"], kind="stable")
-        doubled = samples.duplicated(["taken", "channel"]).to_numpy()
-        if doubled.any():
-            before, sample = (samples.iloc[int(np.argmax(doubled)) - step] for step in (1, 0))
+        is_duplicate = samples.duplicated(["taken", "channel"]).to_numpy()
+        if is_duplicate.any():
+            before, sample = (samples.iloc[int(np.argmax(is_duplicate)) - step] for step in (1, 0))
             raise UserError(
                 f"{log.name}: row {sample.row:.0f} of channel {log.channels[int(sample.channel)]}: got a sample on the same "
                 f"tick of {clock.dt:g} s as row {before.row:.0f}, expected one at most; leave the doubled sample out, or take "
@@ -112,9 +112,9 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
         packets += samples.taken.nunique()
         under_way = samples if under_way is None else pd.concat([under_way, samples])
         now = under_way.arrives < end
-        arriving = under_way[now].sort_values(["arrives", "taken", "channel"], kind="stable")
+        arrivals = under_way[now].sort_values(["arrives", "taken", "channel"], kind="stable")
         under_way = under_way[~now & (under_way.arrives < NEVER)]
-        yield Stretch(first, end, samples, arriving)
+        yield Stretch(first, end, samples, arrivals)
 
 
 def window(
@@ -136,19 +136,19 @@ def window(
         ticks_since_arrival=np.zeros(shape, np.int32),
         event=np.zeros(many, bool),
     )
-    out.sense[s.taken.taken - s.first] = s.taken.packet
-    out.sampled[s.taken.taken - s.first, s.taken.channel] = True
-    tick, slot, channel = s.arriving.arrives - s.first, slots_of(s), s.arriving.channel
-    out.arrive[tick, slot] = s.arriving.packet
-    out.taken[tick, slot] = s.arriving.taken
+    out.sense[s.samples.taken - s.first] = s.samples.packet
+    out.sampled[s.samples.taken - s.first, s.samples.channel] = True
+    tick, slot, channel = s.arrivals.arrives - s.first, slots_of(s), s.arrivals.channel
+    out.arrive[tick, slot] = s.arrivals.packet
+    out.taken[tick, slot] = s.arrivals.taken
     out.mask[tick, slot, channel] = True
-    out.number[tick, slot, channel] = s.arriving.number
-    out.value[tick, slot, channel] = s.arriving.value
+    out.number[tick, slot, channel] = s.arrivals.number
+    out.value[tick, slot, channel] = s.arrivals.value
     if variances is not None:
-        stated, ratio = np.square(s.arriving["std"]) / variances[channel], np.ones((*shape, channels))
-        ratio[tick, slot, channel] = np.where(np.isnan(stated), 1.0, stated)
+        sample_ratio, ratio = np.square(s.arrivals["std"]) / variances[channel], np.ones((*shape, channels))
+        ratio[tick, slot, channel] = np.where(np.isnan(sample_ratio), 1.0, sample_ratio)
         out = out._replace(variance_ratio=ratio)
-    when, place = np.unique(s.arriving.arrives, return_inverse=True)
+    when, place = np.unique(s.arrivals.arrives, return_inverse=True)
     out.ticks_since_arrival[tick, slot] = np.diff(when, prepend=last_arrival)[place]
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
     return out, int(when[-1]) if when.size else last_arrival
@@ -156,33 +156,33 @@ def window(
 
 def slots_of(s: Stretch) -> Ints:
     """Return the slot of every sample that arrives in a block: samples of one packet share a slot, the oldest is first."""
-    by_tick = s.arriving.groupby("arrives").packet
+    by_tick = s.arrivals.groupby("arrives").packet
     return (by_tick.rank("dense") - 1).to_numpy(np.int64)
 
 
 def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
     """Return the room after one more block; `latest` bounds the age [ticks] of all samples of the log."""
-    on_its_way = s.taken[s.taken.arrives < NEVER][["taken", "arrives", "packet"]].to_numpy()
-    packets = np.unique(np.concatenate([room.recent, on_its_way]), axis=0)
-    taken, arrives, number = packets.T
-    first = s.taken.drop_duplicates("taken")  # one sample per packet
-    apart = np.diff(first.taken, prepend=room.newest)
-    further = int(apart.max(initial=0)) > room.apart
+    in_flight = s.samples[s.samples.arrives < NEVER][["taken", "arrives", "packet"]].to_numpy()
+    packets = np.unique(np.concatenate([room.recent, in_flight]), axis=0)
+    sampling, arrival, number = packets.T
+    first = s.samples.drop_duplicates("taken")  # one sample per packet
+    gaps = np.diff(first.taken, prepend=room.newest)
+    is_longer = int(gaps.max(initial=0)) > room.longest_gap
     # from each packet to the newest taken by the time it arrives, inclusive
-    place = np.searchsorted(first.taken, arrives, side="right") - 1
+    place = np.searchsorted(first.taken, arrival, side="right") - 1
     by_then = np.where(place >= 0, first.packet.to_numpy()[place], number) if len(first) else number
     # newer packets that arrive before an older one, as `common_times.overtaking`
     overtaking, shift = np.zeros(len(packets), int), 1
-    while shift < len(packets) and (taken[shift:] < arrives[:-shift]).any():
-        overtaking[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+    while shift < len(packets) and (sampling[shift:] < arrival[:-shift]).any():
+        overtaking[:-shift] += (arrival[shift:] < arrival[:-shift]) & (sampling[shift:] > sampling[:-shift])
         shift += 1
     return Room(
         slots=max(room.slots, int(slots_of(s).max(initial=0)) + 1),
         flight=max(room.flight, int((by_then - number).max(initial=0)) + 1),
         overtaking=max(room.overtaking, int(overtaking.max(initial=0))),
-        latest=max(room.latest, int((arrives - taken).max(initial=0))),
-        apart=max(room.apart, int(apart.max(initial=0))),
-        apart_row=int(first.row.iloc[np.argmax(apart)]) if further else room.apart_row,
-        recent=packets[taken >= s.end - 1 - latest],
+        latest=max(room.latest, int((arrival - sampling).max(initial=0))),
+        longest_gap=max(room.longest_gap, int(gaps.max(initial=0))),
+        longest_gap_row=int(first.row.iloc[np.argmax(gaps)]) if is_longer else room.longest_gap_row,
+        recent=packets[sampling >= s.end - 1 - latest],
         newest=int(first.taken.iloc[-1]) if len(first) else room.newest,
     )
