@@ -34,7 +34,7 @@ FLAGS = ("-std=c99", "-O2")
 PATIENCE = 300  # seconds for a compiler, or a replay
 
 
-SAID = re.compile(r"^(.*): differs by (\S+) rms, (\S+) at most; error (\S+) rms$", re.M)
+DIFFERENCE = re.compile(r"^(.*): differs by (\S+) rms, (\S+) at most; error (\S+) rms$", re.M)
 
 
 class Line(NamedTuple):
@@ -69,31 +69,31 @@ def export_observer(
     with `delay` and `start` [s] as in `playback.replay`. Otherwise the test run is run `seed` of the study.
     """
     with config.float64():
-        asked, cell = one_cell(study, [observer], overrides or [])
+        spec, cell = one_cell(study, [observer], overrides or [])
         if cell.scenario.sampling.continuous:
             raise UserError(
-                f"{asked.name}: got a scenario that measures continuously, expected samples, which alone come to a program; "
+                f"{spec.name}: got a scenario that measures continuously, expected samples, which alone come to a program; "
                 "take one with a sampling period."
             )
-        called = next(iter(cell.options))
-        if cell.entry(called).observer.init_random:
+        label = next(iter(cell.options))
+        if cell.entry(label).observer.init_random:
             raise UserError(
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
             )
-        if cell.entry(called).observer.uses_silence:
+        if cell.entry(label).observer.uses_silence:
             raise UserError(
                 f"{observer}: got an observer that uses silence (no sample was sent), which a program in C does not report, "
                 "expected one that uses samples alone; export kf."
             )
-        title = title_of_scenario(asked, cell.scenario.name)
+        title = title_of_scenario(spec, cell.scenario.name)
         if log is None:
-            cell = slowed(cell, called)
-            (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
-            ((name, _),), known = p.layout.observers, setting(p.cell)
-            rows = _rows(cell, p.labels[0], known)
-            run = structs.vector(p, asked.root_seed, seed, rows)
-            return _build_export(title, p.cell, p.labels[0], name, p, known, rows, run)
+            cell = slowed(cell, label)
+            (p,) = (alone(plan, spec.root_seed, seed) for plan in padding.fit([draft(cell, cell.options)]))
+            ((name, _),), context = p.layout.observers, setting(p.cell)
+            rows = _rows(cell, p.labels[0], context)
+            run = structs.vector(p, spec.root_seed, seed, rows)
+            return _build_export(title, p.cell, p.labels[0], name, p, context, rows, run)
         return _export_recording(title, log, study, observer, delay, start, overrides or [])
 
 
@@ -109,12 +109,13 @@ def _export_recording(
     a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
     p, run = recording.prepare_recording(a, a.cell.entry(label).observer.on_sample is not None)
-    found = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
-    estimates, names = cast(pd.DataFrame, found), (f"{label}.{signal}" for signal, _ in estimated_of(a.cell.scenario))
+    result = replay(log, study, [observer], delay=delay, start=start, overrides=overrides)
+    estimates = cast(pd.DataFrame, result.estimates)
+    names = (f"{label}.{signal}" for signal, _ in estimated_of(a.cell.scenario))
     expected = estimates[[name for name in names if name in estimates]].to_numpy()
-    rows = max(_rows(a.cell, label, p.setting), p.back)
+    rows = max(_rows(a.cell, label, p.context), p.back)
     run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
-    return _build_export(title, a.cell, label, label, p, p.setting, rows, run)
+    return _build_export(title, a.cell, label, label, p, p.context, rows, run)
 
 
 def _build_export(
@@ -123,7 +124,7 @@ def _build_export(
     label: str,
     name: str,
     p: padding.Plan | PlaybackSetup,
-    known: DesignContext,
+    context: DesignContext,
     rows: int,
     run: Vector,
 ) -> ExportedObserver:
@@ -133,17 +134,19 @@ def _build_export(
     """
     o = dict(p.layout.observers)[name]
     gains, xhat0 = jax.tree.map(jnp.asarray, p.problem.gains[name]), jnp.asarray(p.problem.xhat0)
-    m, q, zero = known.model.B.shape[1], len(known.noise_std), jnp.asarray(0)
+    m, q, zero = context.model.B.shape[1], len(context.noise_std), jnp.asarray(0)
     now = observer_to_c.present(
-        jnp.asarray(0.0), zero, jnp.asarray(known.dt), jnp.zeros(m), jnp.zeros((1, m)), decided=False
+        jnp.asarray(0.0), zero, jnp.asarray(context.dt), jnp.zeros(m), jnp.zeros((1, m)), decided=False
     )
-    noted = jax.eval_shape(lambda: o.snapshot(gains, o.init(gains, xhat0), now)).shape[0]
-    s = observer_to_c.source(c_files.identifier(label), o, gains, xhat0, observer_to_c.Shapes(m, q, noted, rows))
-    oldest = known.ticks  # the age in ticks up to which a measurement that no newer one overtook is used
+    snapshot_size = jax.eval_shape(lambda: o.snapshot(gains, o.init(gains, xhat0), now)).shape[0]
+    s = observer_to_c.source(
+        c_files.identifier(label), o, gains, xhat0, observer_to_c.Shapes(m, q, snapshot_size, rows)
+    )
+    oldest = context.ticks  # the age in ticks up to which a measurement that no newer one overtook is used
     if s.jump_looks_back == "in a loop":  # to the measurement before it, and on, if they come as they are expected
-        oldest = min(known.latest, rows)
+        oldest = min(context.latest, rows)
     elif s.jump_looks_back == "once":
-        oldest = min(rows, known.ticks)
+        oldest = min(rows, context.ticks)
     about = About(
         label=c_files.identifier(label),
         observer=label,
@@ -154,57 +157,59 @@ def _build_export(
         outputs=q,
         rows=rows,
         oldest=oldest,
-        newer=known.overtaking,
+        newer=context.overtaking,
     )
-    found = numbers.describe_gains(about, known, p.certificates[label], cell.options[label].model_dump(), gains)
+    description = numbers.describe_gains(about, context, p.certificates[label], cell.options[label].model_dump(), gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": c_files.header(about, s),
         f"{about.label}.c": c_files.code(about, s),
         f"{about.label}_gains.h": c_files.gains(about, s, gains),
-        "vector.h": c_replay.header(about, run, noted, p.layout.ring),
-        "main.c": c_replay.main(about, s, noted),
-        "gains.json": numbers.as_json(found),
-        "gains.mat": numbers.as_mat(found),
+        "vector.h": c_replay.header(about, run, snapshot_size, p.layout.ring),
+        "main.c": c_replay.main(about, s, snapshot_size),
+        "gains.json": numbers.as_json(description),
+        "gains.mat": numbers.as_mat(description),
     }
     return ExportedObserver(about, files, np.abs(run.expected).max(0))
 
 
-def _rows(cell: Cell, label: str, known: DesignContext) -> int:
+def _rows(cell: Cell, label: str, context: DesignContext) -> int:
     """How many past inputs an observer may use: those since the oldest sample that can still arrive."""
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
-    return min(loop_setup.oldest(cell, known.overtaking, ticks) + 2, ticks + 1)
+    return min(loop_setup.oldest(cell, context.overtaking, ticks) + 2, ticks + 1)
 
 
 def require_place(out: str | Path) -> None:
     """Raise UserError if the folder cannot be created, before the computation starts; creates nothing."""
     root = Path(storage.target(Path(out).expanduser()).root)
-    there = next(p for p in (root, *root.parents) if os.path.lexists(p))
-    if not there.is_dir():
-        raise UserError(f"--out {out}: got {there}, which is no folder, expected a folder or a new name; give another.")
-    if not os.access(there, os.W_OK | os.X_OK):
+    ancestor = next(p for p in (root, *root.parents) if os.path.lexists(p))
+    if not ancestor.is_dir():
         raise UserError(
-            f"--out {out}: got {there}, which you may not write, expected a folder that you may; give another."
+            f"--out {out}: got {ancestor}, which is no folder, expected a folder or a new name; give another."
+        )
+    if not os.access(ancestor, os.W_OK | os.X_OK):
+        raise UserError(
+            f"--out {out}: got {ancestor}, which you may not write, expected a folder that you may; give another."
         )
 
 
-def write(found: ExportedObserver, out: str | Path) -> list[Path]:
+def write(export: ExportedObserver, out: str | Path) -> list[Path]:
     """Write the files into a new or existing folder, all or none; raise UserError if that fails."""
     target = storage.target(Path(out).expanduser())
     storage.make(target)
-    each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
+    each = {name: content if isinstance(content, bytes) else content.encode() for name, content in export.files.items()}
     storage.put_all(target, each)
-    return [Path(target.root) / name for name in found.files]
+    return [Path(target.root) / name for name in export.files]
 
 
 def compiler() -> str | None:
     """Return the C compiler of this machine, or None."""
-    return next((found for each in COMPILERS if (found := shutil.which(each))), None)
+    return next((path for each in COMPILERS if (path := shutil.which(each))), None)
 
 
 def run_compiled(
-    found: ExportedObserver, single: bool = False, arguments: tuple[str, ...] = (), count: bool = True
+    export: ExportedObserver, single: bool = False, arguments: tuple[str, ...] = (), count: bool = True
 ) -> str | None:
     """Return the output of the compiled program, in double or `single` precision; None without a compiler.
 
@@ -214,23 +219,23 @@ def run_compiled(
     if cc is None:
         return None
     with tempfile.TemporaryDirectory(prefix="pcbench-export-") as folder:
-        write(found, folder)
+        write(export, folder)
         flags = [*FLAGS, *(["-DOBSERVER_FLOAT"] if single else []), *(["-DOBSERVER_COUNT"] if count else [])]
-        files = [f"{found.about.label}.c", "main.c"]
-        done = subprocess.run(
+        files = [f"{export.about.label}.c", "main.c"]
+        compilation = subprocess.run(
             [cc, *flags, "-o", "replay", *files, "-lm"], cwd=folder, capture_output=True, text=True, timeout=PATIENCE
         )
-        if done.returncode:
-            line = (done.stderr.strip().splitlines() or ["no reason"])[0]
+        if compilation.returncode:
+            line = (compilation.stderr.strip().splitlines() or ["no reason"])[0]
             raise UserError(f"{cc}: refused {files[0]} ({line}), expected it to compile as C99; look at that line.")
-        ran = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=PATIENCE)
-        if ran.returncode:
+        execution = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=PATIENCE)
+        if execution.returncode:
             raise UserError(
-                f"{found.about.observer}: {ran.stderr.strip()}, expected room for the whole run; export it again."
+                f"{export.about.observer}: {execution.stderr.strip()}, expected room for the whole run; export it again."
             )
-        return ran.stdout
+        return execution.stdout
 
 
-def parse_replay(printed: str) -> dict[str, Line]:
+def parse_replay(output: str) -> dict[str, Line]:
     """Return the output of a replay by signal."""
-    return {name: Line(float(a), float(b), float(c)) for name, a, b, c in SAID.findall(printed)}
+    return {name: Line(float(a), float(b), float(c)) for name, a, b, c in DIFFERENCE.findall(output)}

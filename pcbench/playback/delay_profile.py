@@ -84,7 +84,7 @@ class Profile:
         inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
         self.p, self.problem = p, p.problem._replace(inputs=inputs, gains={})
         self.samples = int(part.window.mask.sum())
-        self.known: dict[Delays, Best] = {}
+        self.cache: dict[Delays, Best] = {}
 
     def _log(self, delays: Delays) -> Log:
         """Return the samples that no delay moves out of the recording, each arriving when it was taken."""
@@ -94,10 +94,10 @@ class Profile:
 
         def measurements() -> Iterator[Batch]:
             for b in self.batches:
-                ticks, sampled = clock.ticks(b.sampled), b.sampled - later[b.channel]
+                ticks, stamps = clock.ticks(b.sampled), b.sampled - later[b.channel]
                 exists = np.isfinite(b.arrived) & (ticks >= first) & (ticks <= last)
                 if exists.any():
-                    yield b._replace(sampled=sampled, arrived=sampled).select(exists)
+                    yield b._replace(sampled=stamps, arrived=stamps).select(exists)
 
         return self.a.log._replace(measurements=measurements)
 
@@ -109,53 +109,54 @@ class Profile:
     @property
     def best(self) -> Delays:
         """Return the most likely delays so far."""
-        return max(self.known, key=lambda each: self.known[each].value)
+        return max(self.cache, key=lambda each: self.cache[each].value)
 
-    def ask(self, wanted: list[Delays]) -> list[float]:
+    def ask(self, points: list[Delays]) -> list[float]:
         """Return l_p at some delays."""
-        new = [each for each in dict.fromkeys(wanted) if each not in self.known]
+        new = [each for each in dict.fromkeys(points) if each not in self.cache]
         for i in range(0, len(new), self.lanes):
             some = new[i : i + self.lanes]
             self.progress.begin("delays", len(some))
-            z = self.known[self.best].z if self.known else self.start
+            z = self.cache[self.best].z if self.cache else self.start
             for delays, best in zip(some, self._maximise(some, z), strict=False):
-                self.known[delays] = best
+                self.cache[delays] = best
             self.progress.step(len(some))
-        return [self.known[each].value for each in wanted]
+        return [self.cache[each].value for each in points]
 
-    def _maximise(self, some: list[Delays], start: Vector) -> list[Best]:
+    def _maximise(self, points: list[Delays], start: Vector) -> list[Best]:
         """Return the most likely z of each of some delays, by steps that are halved until the likelihood rises."""
-        windows = [self._window(each) for each in some]
+        windows = [self._window(each) for each in points]
         windows += windows[:1] * (self.lanes - len(windows))
-        stacked = jax.tree.map(lambda *a: np.stack(a), *windows)
+        stack = jax.tree.map(lambda *a: np.stack(a), *windows)
 
-        def look(z: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        def evaluate(z: Vector) -> tuple[Vector, Vector, Vector, Vector]:
             g, p = self.gains, self.p
-            out = jit_lanes()(p.layout, g.tree, g.real, g.start, g.slope, self.problem, z, stacked)
+            out = jit_lanes()(p.layout, g.tree, g.real, g.start, g.slope, self.problem, z, stack)
             value, score, information, nis = map(np.array, out)
             return np.where(np.isfinite(value), value, -np.inf), score, information, nis
 
-        nis = look(np.tile(start, (self.lanes, 1)))[3]
+        nis = evaluate(np.tile(start, (self.lanes, 1)))[3]
         z = np.clip(start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.BETWEEN)  # scaled by the NIS
-        value, score, B, _ = look(z)  # B: curvature of -l
-        part = np.ones(self.lanes)  # damping of the step
+        value, score, B, _ = evaluate(z)  # B: curvature of -l
+        damping = np.ones(self.lanes)  # of the step
         for _ in range(STEPS):
-            sizes, ways = np.linalg.eigh(B)
-            along = np.einsum("lij,li->lj", ways, score) / np.maximum(sizes, 1e-9 * sizes[:, -1:] + 1e-300)
-            step = np.einsum(
-                "lij,lj->li", ways, np.clip(along, -LONGEST, LONGEST)
-            )  # an ascent direction, also after clipping
+            eigenvalues, eigenvectors = np.linalg.eigh(B)
+            along = np.einsum("lij,li->lj", eigenvectors, score)
+            along /= np.maximum(eigenvalues, 1e-9 * eigenvalues[:, -1:] + 1e-300)
+            # an ascent direction, also after clipping
+            step = np.einsum("lij,lj->li", eigenvectors, np.clip(along, -LONGEST, LONGEST))
             step = np.clip(z + step, *likelihood.BETWEEN) - z
-            promised = (0.5 * score * step).sum(1)
-            below = max([each.value for each in self.known.values()] + [value.max()]) - value
-            if np.all((promised < SETTLED + PART * below) | (HOPE * promised < below - FAR) | (part < SHORTEST)):
+            gain = (0.5 * score * step).sum(1)
+            below = max([each.value for each in self.cache.values()] + [value.max()]) - value
+            if np.all((gain < SETTLED + PART * below) | (HOPE * gain < below - FAR) | (damping < SHORTEST)):
                 break
-            step *= part[:, None]
-            there = look(z + step)
-            up = (there[0] > value)[:, None]
-            B = _bfgs(B, step, score - there[1], np.where(up[..., None], there[2], B))
-            part = np.where(up[:, 0], np.minimum(4 * part, 1.0), part / 4)
-            z, score, value = np.where(up, z + step, z), np.where(up, there[1], score), np.maximum(value, there[0])
+            step *= damping[:, None]
+            trial = evaluate(z + step)
+            is_ascent = (trial[0] > value)[:, None]
+            B = _bfgs(B, step, score - trial[1], np.where(is_ascent[..., None], trial[2], B))
+            damping = np.where(is_ascent[:, 0], np.minimum(4 * damping, 1.0), damping / 4)
+            z, score = np.where(is_ascent, z + step, z), np.where(is_ascent, trial[1], score)
+            value = np.maximum(value, trial[0])
             self.progress.step(0)
         return [Best(float(v), point) for v, point in zip(value, z, strict=True)]
 
@@ -188,18 +189,18 @@ def _lanes(
 
         def samples(z: Array) -> tuple[Array, Array]:
             problem = p._replace(
-                gains={label: jax.tree.unflatten(tree, likelihood.moved(real, start, slope, jnp.exp(z)))}
+                gains={label: jax.tree.unflatten(tree, likelihood.shift_leaves(real, start, slope, jnp.exp(z)))}
             )
             state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
             state = state if w.variance_ratio is None else step_block.with_variances(state)
             truth = jnp.zeros((len(ticks), 0))
-            seen = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise
-            seen = jnp.where((seen[..., 1:2] > 0) & ~jnp.isnan(seen), seen, 0.0).reshape(-1, seen.shape[-1])
-            return seen, seen
+            stats = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].innovation_stats
+            stats = jnp.where((stats[..., 1:2] > 0) & ~jnp.isnan(stats), stats, 0.0).reshape(-1, stats.shape[-1])
+            return stats, stats
 
-        J, seen = jax.jacfwd(samples, has_aux=True)(z)
+        J, stats = jax.jacfwd(samples, has_aux=True)(z)
         nu = slice(step_block.JUDGED, step_block.JUDGED + len(p.params))
-        square, degrees, log_det, each = seen[:, 0], seen[:, 1], seen[:, 2], seen[:, nu]
+        square, degrees, log_det, each = stats[:, 0], stats[:, 1], stats[:, 2], stats[:, nu]
         by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # derivative of log s by z
         moves = (J[:, nu] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
         return (

@@ -80,14 +80,14 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
     """Return the delay of each channel, and sentences on what the recording does not determine."""
     channels, dt = profile.a.survey.channels.values(), profile.a.clock.dt
     steps = [max(int(c.intervals.median / dt) // 2, 1) if c.intervals.many else 1 for c in channels]
-    ways = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (
+    directions = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (
         len(steps) > 1
     )  # the last direction moves all together
     best: Delays = (0,) * len(steps)
     for sweep in range(SWEEPS):
-        for way, step in zip(ways, [*steps, max(steps)], strict=False):
-            best = _search(profile, best, way, step, whole=sweep == 0)
-        slices = [_slice(profile, best, way) for way in ways[: len(steps)]]
+        for direction, step in zip(directions, [*steps, max(steps)], strict=False):
+            best = _search(profile, best, direction, step, full_range=sweep == 0)
+        slices = [_slice(profile, best, direction) for direction in directions[: len(steps)]]
         peak, wider = _joint(profile, best, slices)
         profile.ask([_inside(profile, corner) for corner in product(*zip(np.floor(peak), np.ceil(peak), strict=True))])
         if profile.best == best:
@@ -95,7 +95,7 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
         best = profile.best
     if len(steps) > 1 and (nearest := _if_flat(profile, best)) is not None:
         best = nearest
-        slices = [_slice(profile, best, way) for way in ways[: len(steps)]]
+        slices = [_slice(profile, best, direction) for direction in directions[: len(steps)]]
         peak, wider = np.array([s.peak for s in slices]), np.full(len(steps), np.inf)
     return _results(profile, best, slices, peak, wider)
 
@@ -115,39 +115,39 @@ def _inside(profile: Profile, delays: Iterable[float]) -> Delays:
     return tuple(np.clip(np.asarray(tuple(delays)), profile.low, profile.high).astype(int).tolist())
 
 
-def _ask(profile: Profile, best: Delays, way: Ints, by: Ints) -> tuple[Ints, Floats]:
+def _ask(profile: Profile, best: Delays, direction: Ints, by: Ints) -> tuple[Ints, Floats]:
     """Return the moves along a direction that stay in the range, in order and including 0, with l_p there."""
     moves = np.unique(np.append(by, 0))
-    there = np.array(best) + moves[:, None] * way
-    inside = ((there >= profile.low) & (there <= profile.high)).all(1)
-    return moves[inside], np.array(profile.ask([tuple(each) for each in there[inside].tolist()]))
+    points = np.array(best) + moves[:, None] * direction
+    inside = ((points >= profile.low) & (points <= profile.high)).all(1)
+    return moves[inside], np.array(profile.ask([tuple(each) for each in points[inside].tolist()]))
 
 
-def _search(profile: Profile, best: Delays, way: Ints, step: int, whole: bool) -> Delays:
+def _search(profile: Profile, best: Delays, direction: Ints, step: int, full_range: bool) -> Delays:
     """Return the best point along a direction, on a grid of the range or near the best point, refined to one tick."""
     span = int((profile.high - profile.low).max())
-    by = np.arange(-(span // step) * step, span + 1, step) if whole else step * np.arange(-2, 3)
+    by = np.arange(-(span // step) * step, span + 1, step) if full_range else step * np.arange(-2, 3)
     while True:
-        by, values = _ask(profile, best, way, by)
-        best = tuple((np.array(best) + by[np.argmax(values)] * way).tolist())
+        by, values = _ask(profile, best, direction, by)
+        best = tuple((np.array(best) + by[np.argmax(values)] * direction).tolist())
         if step == 1:
             return best
         finer = max(step // FINER, 1)
         by, step = finer * np.arange(-(step // finer), step // finer + 1), finer
 
 
-def _slice(profile: Profile, best: Delays, way: Ints) -> Slice:
+def _slice(profile: Profile, best: Delays, direction: Ints) -> Slice:
     """Return the profile along one channel over its interval, and its maximum between ticks."""
     from scipy.interpolate import CubicSpline
 
-    (c,) = np.flatnonzero(way)
+    (c,) = np.flatnonzero(direction)
     reach = 2 ** np.arange(int(profile.high[c] - profile.low[c]).bit_length() + 1)
     ends = np.array([profile.low[c], profile.high[c]]) - best[c]
-    by, values = _ask(profile, best, way, np.concatenate([-reach, reach, ends]))
+    by, values = _ask(profile, best, direction, np.concatenate([-reach, reach, ends]))
     beyond = by[values < values.max() - LEVEL]
     far = max(-beyond[beyond < 0].max(initial=ends[0]), beyond[beyond > 0].min(initial=ends[1]))
     step = max(-(-int(far) // SIDE), 1)
-    by, values = _ask(profile, best, way, step * np.arange(-min(SIDE, far) - 1, min(SIDE, far) + 2))
+    by, values = _ask(profile, best, direction, step * np.arange(-min(SIDE, far) - 1, min(SIDE, far) + 2))
     i, N = int(np.argmax(values)), profile.samples
     if len(by) < 3:
         return Slice(by + best[c], values[i] - values, float(by[i] + best[c]), np.nan, np.nan)
@@ -183,13 +183,13 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
     moves = [0 * one[0], *one, *-one]
     moves += [a * one[i] + b * one[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
     x = np.array(moves)
-    drop = profile.known[best].value - np.array(profile.ask([tuple((best + h * each).tolist()) for each in x]))
+    drop = profile.cache[best].value - np.array(profile.ask([tuple((best + h * each).tolist()) for each in x]))
     x, weight = x[:, inner], 1.0 / (1.0 + np.abs(drop))
     pairs = list(combinations_with_replacement(range(len(inner)), 2))
     columns = np.column_stack([np.ones(len(x)), x, *(x[:, i] * x[:, j] for i, j in pairs)])
-    fitted = np.linalg.lstsq(weight[:, None] * columns, weight * np.expm1(2 * drop / N), rcond=None)[0]
-    slope, B = fitted[1 : len(inner) + 1], np.zeros((len(inner), len(inner)))
-    for (i, j), value in zip(pairs, fitted[len(inner) + 1 :], strict=True):
+    coefficients = np.linalg.lstsq(weight[:, None] * columns, weight * np.expm1(2 * drop / N), rcond=None)[0]
+    slope, B = coefficients[1 : len(inner) + 1], np.zeros((len(inner), len(inner)))
+    for (i, j), value in zip(pairs, coefficients[len(inner) + 1 :], strict=True):
         B[i, j] += value
         B[j, i] += value
     if np.linalg.eigvalsh(B)[0] <= 0:
@@ -205,8 +205,8 @@ def _results(
     profile: Profile, best: Delays, slices: list[Slice], peak: Floats, wider: Floats
 ) -> tuple[list[ChannelDelay], list[str]]:
     """Return delays in seconds with their intervals, and sentences."""
-    dt, out, said, rounding = profile.a.clock.dt, [], [], _rounding(profile)
-    for c, (name, known) in enumerate(profile.a.survey.channels.items()):
+    dt, out, remarks, rounding = profile.a.clock.dt, [], [], _rounding(profile)
+    for c, (name, channel) in enumerate(profile.a.survey.channels.items()):
         s, first, last = slices[c], int(profile.low[c]), int(profile.high[c])
         scale = wider[c] if np.isfinite(wider[c]) else 1.0
 
@@ -214,11 +214,11 @@ def _results(
         low = max(low, first) if np.isfinite(low) else first
         high = min(high, last) if np.isfinite(high) else last
         ends = np.array([low, np.clip(peak[c], first, last), high, first, last]) * dt + rounding[c]
-        arrived = -known.delays.least  # with a shorter delay a sample would be taken after it arrived
-        if first * dt - dt < arrived:
-            ends[[0, 3]] = np.where(ends[[0, 3]] <= first * dt + rounding[c], arrived, ends[[0, 3]])
-        ends = (np.maximum(ends, arrived) + 0.0).tolist()
-        found = ChannelDelay(
+        shortest = -channel.delays.least  # with a shorter delay a sample would be taken after it arrived
+        if first * dt - dt < shortest:
+            ends[[0, 3]] = np.where(ends[[0, 3]] <= first * dt + rounding[c], shortest, ends[[0, 3]])
+        ends = (np.maximum(ends, shortest) + 0.0).tolist()
+        channel_delay = ChannelDelay(
             channel=name,
             estimate=ends[1],
             low=ends[0],
@@ -228,35 +228,35 @@ def _results(
             delays=(ends[1] + scale * dt * (s.ticks - s.peak)).tolist(),
             drops=s.drops.tolist(),
         )
-        out.append(found)
-        said += _remarks(found, dt)
-    apart = [each.channel for each, factor in zip(out, wider, strict=True) if factor > APART]
-    if apart:
-        said.append(
-            f"{' and '.join(apart)}: the recording determines the differences of these delays, but hardly each delay; record "
-            "an input that moves the plant."
+        out.append(channel_delay)
+        remarks += _remarks(channel_delay, dt)
+    ambiguous = [each.channel for each, factor in zip(out, wider, strict=True) if factor > APART]
+    if ambiguous:
+        remarks.append(
+            f"{' and '.join(ambiguous)}: the recording determines the differences of these delays, but hardly each delay; "
+            "record an input that moves the plant."
         )
-    return out, said
+    return out, remarks
 
 
-def _remarks(found: ChannelDelay, dt: float) -> list[str]:
+def _remarks(delay: ChannelDelay, dt: float) -> list[str]:
     """Return sentences on one delay."""
-    name, out, (first, last) = found.channel, [], found.searched
-    if found.low <= first and found.high >= last:
+    name, out, (first, last) = delay.channel, [], delay.searched
+    if delay.low <= first and delay.high >= last:
         out.append(
             f"{name}: the recording does not determine the delay: the interval is the whole search range; record more, "
             "or with inputs that move the plant."
         )
-    elif found.at_end == "high":
+    elif delay.at_end == "high":
         out.append(
             f"{name}: the most likely delay is the longest that was searched, {last:.4g} s; give a larger --max-delay."
         )
-    elif found.at_end == "low":
+    elif delay.at_end == "low":
         out.append(
             f"{name}: the most likely delay is the shortest that is possible, {first:.4g} s: with a shorter one a sample "
             "would be taken after it arrived, or be farther from its stamp than --max-delay."
         )
-    if found.high - found.low < dt:
+    if delay.high - delay.low < dt:
         out.append(
             f"{name}: the interval of the delay is narrower than a tick of {dt:g} s: it is interpolated between ticks."
         )
@@ -272,8 +272,8 @@ def _rounding(profile: Profile) -> Floats:
 
     sums, many = np.zeros(q), np.zeros(q)
     for b in profile.batches:
-        came = np.isfinite(b.arrived)
-        sums += np.bincount(b.channel[came], beyond(b.sampled[came]), q)
-        many += np.bincount(b.channel[came], minlength=q)
+        arrived = np.isfinite(b.arrived)
+        sums += np.bincount(b.channel[arrived], beyond(b.sampled[arrived]), q)
+        many += np.bincount(b.channel[arrived], minlength=q)
     inputs = [beyond(rows.t) for rows in a.log.inputs.read()] if a.log.inputs else []
     return sums / np.maximum(many, 1) - (float(np.concatenate(inputs).mean()) if inputs else 0.0)

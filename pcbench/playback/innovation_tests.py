@@ -45,27 +45,32 @@ HELD_OUT = 0.3  # share of the ticks of a recording
 FEW, BIASED = 10, 2.0  # fewest samples, and mean of z above which a channel is reported as biased
 
 
+def held_out_start(last: int) -> int:
+    """Return the tick at which the held-out part of a recording begins, from its last tick."""
+    return int((1 - HELD_OUT) * last)
+
+
 class Sums(NamedTuple):
     """Innovation sums of one observer; two parts, before the held-out part and in it."""
 
     totals: Floats = np.zeros((3, 2))  # of square, degrees, log_det
     samples: int = 0
-    signed: float = 0.0  # sum of z
+    z_sum: float = 0.0  # sum of z
     products: Floats = np.zeros(LAGS + 1)  # sums of z_i z_(i-h), h = 0 .. LAGS
     newest: Floats = np.zeros(0)  # the last LAGS values of z
 
 
 def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
     """Return the sums after further samples [K, 4 or more]: square, degrees, log_det and signed of each; held_out [K]."""
-    counts = numbers[:, 1] > 0
-    numbers, part = numbers[counts], held_out[counts].astype(int)
+    tested = numbers[:, 1] > 0
+    numbers, part = numbers[tested], held_out[tested].astype(int)
     z = numbers[:, 3] / np.sqrt(numbers[:, 1])
     every, old = np.concatenate([sums.newest, z]), len(sums.newest)
     more = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
         totals=sums.totals + [np.bincount(part, numbers[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
-        signed=sums.signed + float(z.sum()),
+        z_sum=sums.z_sum + float(z.sum()),
         products=sums.products + np.array(more),
         newest=every[-LAGS:],
     )
@@ -79,15 +84,15 @@ class InnovationSums(NamedTuple):
 
     def add(self, numbers: Floats, held_out: Bools) -> "InnovationSums":
         """Return the sums after further samples [K, 4 + q], whose last numbers are nu_j / sqrt(s_j) by channel."""
-        counts, channels = numbers[:, 1] > 0, []
-        for sums, z in zip(self.channels, numbers[counts, 4:].T, strict=True):
-            mine, part = z[~np.isnan(z)], held_out[counts][~np.isnan(z)]
-            channels.append(add(sums, np.stack([mine**2, np.ones_like(mine), 0 * mine, mine], 1), part))
+        tested, channels = numbers[:, 1] > 0, []
+        for sums, z in zip(self.channels, numbers[tested, 4:].T, strict=True):
+            values, part = z[~np.isnan(z)], held_out[tested][~np.isnan(z)]
+            channels.append(add(sums, np.stack([values**2, np.ones_like(values), 0 * values, values], 1), part))
         return InnovationSums(add(self.total, numbers, held_out), channels)
 
 
 def by_channel(
-    judged: dict[str, InnovationSums], channels: tuple[str, ...], arrived: NDArray[np.int64]
+    innovations: dict[str, InnovationSums], channels: tuple[str, ...], arrived: NDArray[np.int64]
 ) -> list[dict[str, Any]]:
     """Return one row per channel and observer that reports innovations by channel.
 
@@ -95,12 +100,12 @@ def by_channel(
     """
     keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "mean", "ljung_box_p")
     rows: list[dict[str, Any]] = []
-    for observer, (total, each) in judged.items():
+    for observer, (total, each) in innovations.items():
         if any(sums.samples for sums in each) or not total.samples:
-            for name, came, sums in zip(channels, arrived.tolist(), each, strict=True):
-                says = judgement(sums)
-                row = {"observer": observer, "channel": name, "not_judged": came - sums.samples}
-                rows.append(row | {key: says[key] for key in keys})
+            for name, n_arrived, sums in zip(channels, arrived.tolist(), each, strict=True):
+                results = judgement(sums)
+                row = {"observer": observer, "channel": name, "not_judged": n_arrived - sums.samples}
+                rows.append(row | {key: results[key] for key in keys})
     return rows
 
 
@@ -122,14 +127,14 @@ def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
     """Return a sentence for each observer that skips samples, from `by_channel`: how many, and of which channels."""
     out = []
     for observer in dict.fromkeys(row["observer"] for row in rows):
-        mine = [row for row in rows if row["observer"] == observer]
-        left, judged = (sum(row[key] for row in mine) for key in ("not_judged", "samples"))
-        missing = [row for row in mine if row["not_judged"]]
-        of = [f"{row['not_judged'] if row['samples'] else 'all'} of {row['channel']}" for row in missing]
-        if left:
+        observer_rows = [row for row in rows if row["observer"] == observer]
+        n_skipped, n_tested = (sum(row[key] for row in observer_rows) for key in ("not_judged", "samples"))
+        partial_rows = [row for row in observer_rows if row["not_judged"]]
+        of = [f"{row['not_judged'] if row['samples'] else 'all'} of {row['channel']}" for row in partial_rows]
+        if n_skipped:
             out.append(
-                f"{observer} reports no innovation for {left:,} of {left + judged:,} samples, which are not tested: "
-                f"{', '.join(of)}."
+                f"{observer} reports no innovation for {n_skipped:,} of {n_skipped + n_tested:,} samples, which are not "
+                f"tested: {', '.join(of)}."
             )
     return out
 
@@ -149,7 +154,7 @@ def judgement(sums: Sums) -> dict[str, float | str]:
         "nis_low": within.low if within else np.nan,
         "nis_high": within.high if within else np.nan,
         "verdict": verdict(nis, within) if within else "unknown",
-        "mean": sums.signed / T if T else np.nan,
+        "mean": sums.z_sum / T if T else np.nan,
         "lags": lags,
         "ljung_box": Q,
         "ljung_box_p": chi_square_share(lags, Q) if np.isfinite(Q) else np.nan,
@@ -197,16 +202,16 @@ def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> t
     """Return the ends of the interval of one z by the profile likelihood."""
     from scipy.optimize import brentq
 
-    most, others = likelihood(at)[0], np.flatnonzero((np.diag(H) > INFORMATIVE) & (np.arange(len(at)) != j))
+    most, nuisance = likelihood(at)[0], np.flatnonzero((np.diag(H) > INFORMATIVE) & (np.arange(len(at)) != j))
     point = at.copy()
 
     def drop(z: float) -> float:
         point[j] = z
         for _ in range(NEWTON):
             value, score = likelihood(point)
-            step = np.linalg.solve(H[np.ix_(others, others)], score[others])
-            gain = float(score[others] @ step)
-            point[others] += step
+            step = np.linalg.solve(H[np.ix_(nuisance, nuisance)], score[nuisance])
+            gain = float(score[nuisance] @ step)
+            point[nuisance] += step
             if not gain > SETTLED:
                 break
         return 2 * (most - value) - gain

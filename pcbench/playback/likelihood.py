@@ -71,10 +71,10 @@ class AffineGains(NamedTuple):
     slope: list[Floats]  # [P, ...] for each real leaf
 
 
-def moved(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], by: Leaf) -> list[Leaf]:
+def shift_leaves(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], by: Leaf) -> list[Leaf]:
     """Return leaves, with by_j slope_j added to the real ones."""
-    left = iter(slope)
-    return [a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
+    slopes = iter(slope)
+    return [a + jnp.tensordot(by, next(slopes), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
 
 
 def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains | None:
@@ -86,8 +86,8 @@ def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains |
         return [np.asarray(a) for a in optimizers.numbers(design(point))]
 
     v, here = np.exp(z), at(z)
-    doubled = [at(z + np.log(2.0) * row) for row in np.eye(len(z))]
-    slope = [np.stack([b[i] - a for b in doubled]) / v.reshape(-1, *[1] * a.ndim) for i, a in enumerate(here)]
+    gains_at_double = [at(z + np.log(2.0) * row) for row in np.eye(len(z))]
+    slope = [np.stack([b[i] - a for b in gains_at_double]) / v.reshape(-1, *[1] * a.ndim) for i, a in enumerate(here)]
     start = [a - np.tensordot(v, s, 1) for a, s in zip(here, slope, strict=True)]
     probe = z + np.linspace(-1.0, 1.5, len(z))
     for a, b, s in zip(at(probe), start, slope, strict=True):
@@ -97,9 +97,10 @@ def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains |
     return AffineGains(tree, real, [next(each) if r else a for a, r in zip(leaves, real, strict=True)], slope)
 
 
-def evaluator(
-    p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]
-) -> Callable[[Vector], SampleLikelihood]:
+Evaluator = Callable[[Vector], SampleLikelihood]
+
+
+def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]) -> Evaluator:
     """Return a function that computes the likelihood of each sample at given parameters; errors as of `design`."""
     inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
     bare = p.problem._replace(inputs=inputs, gains={})
@@ -115,12 +116,12 @@ def evaluator(
         else:
             tree, real, start, slope = affine[0]
             v = np.exp(np.clip(point, *BETWEEN))
-            leaves = moved(real, start, slope, v)
+            leaves = shift_leaves(real, start, slope, v)
             v = np.where(v == np.exp(point), v, 0.0)  # clipped intensities have derivative 0
             along = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
         numbers, slopes = map(np.asarray, jit_likelihood()(p.layout, tree, real, leaves, along, bare, part.window))
-        judged = numbers[..., 1] > 0
-        return SampleLikelihood(numbers[judged], part.first + np.nonzero(judged)[0], slopes[judged])
+        tested = numbers[..., 1] > 0
+        return SampleLikelihood(numbers[tested], part.first + np.nonzero(tested)[0], slopes[tested])
 
     return at
 
@@ -140,14 +141,14 @@ def _run(
     truth = jnp.zeros((len(ticks), 0))
 
     def numbers(by: Array) -> tuple[Array, Array]:
-        problem = p._replace(gains={label: jax.tree.unflatten(tree, moved(real, leaves, along, by))})
+        problem = p._replace(gains={label: jax.tree.unflatten(tree, shift_leaves(real, leaves, along, by))})
         state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
         state = state if w.variance_ratio is None else step_block.with_variances(state)
-        surprise = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise
-        return -0.5 * (surprise[..., 2] + surprise[..., 0]), surprise
+        stats = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].innovation_stats
+        return -0.5 * (stats[..., 2] + stats[..., 0]), stats
 
-    slopes, surprise = jax.jacfwd(numbers, has_aux=True)(jnp.zeros(along[0].shape[0]))
-    return surprise, slopes
+    slopes, stats = jax.jacfwd(numbers, has_aux=True)(jnp.zeros(along[0].shape[0]))
+    return stats, slopes
 
 
 @cache

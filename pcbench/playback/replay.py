@@ -43,10 +43,10 @@ class ReplayResult(NamedTuple):
 class Passage(NamedTuple):
     """The raw results of a pass through a recording."""
 
-    judged: dict[str, InnovationSums]  # by observer that reports innovations
+    innovations: dict[str, InnovationSums]  # by observer that reports innovations
     arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: unknown
-    smoothed: Floats | None  # [ticks, n]
+    smoothed_states: Floats | None  # [ticks, n]
     delays: dict[
         str, Floats
     ]  # [2] estimated delay and its standard deviation [s] at the end, by observer that estimates it
@@ -95,7 +95,7 @@ def replay(
             a.remarks.extend(stamps_that_go_back(a.survey))
             room = room_of(a)
             if parse.ALL in names:
-                a = _capable(a, room, names)
+                a = _without_unsupported(a, room, names)
             p = prepare_observers(a, room)
             with replay_metrics.draft(Path(folder)) as draft:
                 return _results(a, p, _run(a, p, draft, seed, progress), draft, in_memory=out is None)
@@ -110,13 +110,13 @@ def replay(
 def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], out: Path | None) -> ReplayResult:
     """Return the innovation tests at each value of some axes, without estimates; also as a file in a folder."""
 
-    def joined(frames: list[pd.DataFrame]) -> pd.DataFrame:
+    def join(frames: list[pd.DataFrame]) -> pd.DataFrame:
         for (values, _), frame in zip(each, frames, strict=True):
             for i, name in enumerate(axes):
                 frame.insert(i, name, values[name])
         return pd.concat(frames, ignore_index=True)
 
-    innovations, channels = joined([r.innovations for _, r in each]), joined([r.channels for _, r in each])
+    innovations, channels = join([r.innovations for _, r in each]), join([r.channels for _, r in each])
     first = each[0][1].summary
     summary = {name: first[name] for name in ("log", "plant", "rows", "dt")} | {
         "axes": axes,
@@ -130,16 +130,16 @@ def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], ou
     return ReplayResult(innovations, none, none, None, replay_metrics.plain(summary), channels)
 
 
-def _capable(a: Playback, room: Room, names: list[str]) -> Playback:
+def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
     """Return the playback without observers of "all" that the recording does not support, each with a sentence."""
     excluded = {}
-    for label, given in a.cell.options.items():
+    for label, observer_options in a.cell.options.items():
         try:
             if label not in map(label_of, names):
-                prepare_observers(a._replace(cell=a.cell._replace(options={label: given})), room)
+                prepare_observers(a._replace(cell=a.cell._replace(options={label: observer_options})), room)
         except UserError as error:
             excluded[label] = str(error)
-    options = {label: given for label, given in a.cell.options.items() if label not in excluded}
+    options = {label: o for label, o in a.cell.options.items() if label not in excluded}
     if not options:
         raise UserError(f"{a.log.name}: no observer can run; the first is refused: {next(iter(excluded.values()))}")
     a.remarks.extend(all_observers.sentences(excluded))
@@ -159,55 +159,55 @@ def stamps_that_go_back(survey: Survey) -> list[str]:
 def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
     """Run all parts of a recording, and write estimates."""
     signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
-    scored, given = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
-    runners = stream.init_runners(p, bool(scored), seed)
-    out_from = held_out_from(a)
-    judged = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
+    score_signals, truth_signals = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
+    runners = stream.init_runners(p, bool(score_signals), seed)
+    held_out_start = innovation_tests.held_out_start(a.last)
+    innovations = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
     arrived = np.zeros(q, int)
-    model = smoother.model_of(p.setting, p.problem.xhat0)
-    enough = model is not None and smoother.fits(model, a.last + 1)
-    y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (q, p.m))
+    model = smoother.model_of(p.context, p.problem.xhat0)
+    has_memory = model is not None and smoother.fits(model, a.last + 1)
+    y, u = (np.full((a.last + 1 if has_memory else 0, k), np.nan) for k in (q, p.m))
     ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
-    largest, largest_y = np.zeros(len(scored)), np.zeros(q)  # largest truth by signal, and largest measurement
+    largest, largest_y = np.zeros(len(score_signals)), np.zeros(q)  # largest truth by signal, and largest measurement
     progress.begin("ticks", a.last + 1)
     ends = np.array([a.cell.times.tail, a.last])
-    for part, reads in stream.through(runners, stream.parts(a, p, scored), p.back, ends):
+    for part, outputs in stream.through(runners, stream.parts(a, p, score_signals), p.back, ends):
         w, ticks = part.window, part.first + np.arange(a.length)
-        kept = min(a.length, a.last + 1 - part.first)
+        n_ticks = min(a.length, a.last + 1 - part.first)
         estimates, sigmas = (
-            {label: np.asarray(getattr(read, what))[:kept] for label, read in reads.items()}
+            {label: np.asarray(getattr(o, what))[:n_ticks] for label, o in outputs.items()}
             for what in ("estimate", "sigma")
         )
-        true = {pair: x for pair, x in zip(signals, part.truth[:kept].T, strict=False) if pair[0] in given}
-        delays = {label: np.asarray(read.delay)[:kept, 0] for label, read in reads.items() if read.delay.shape[1]}
-        draft.write(replay_metrics.table(ticks[:kept], estimates, sigmas, true, delays, signals, a.clock))
-        progress.step(kept)
-        numbers = {label: np.asarray(reads[label].surprise) for label in judged}
+        true = {pair: x for pair, x in zip(signals, part.truth[:n_ticks].T, strict=False) if pair[0] in truth_signals}
+        delays = {label: np.asarray(o.delay)[:n_ticks, 0] for label, o in outputs.items() if o.delay.shape[1]}
+        draft.write(replay_metrics.table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, a.clock))
+        progress.step(n_ticks)
+        numbers = {label: np.asarray(outputs[label].innovation_stats) for label in innovations}
         by_channel = {label: each[..., step_block.JUDGED :] for label, each in numbers.items()}
         table = replay_metrics.innovation_table(w, part.first, by_channel, a.log.channels, a.clock)
         draft.write(table, replay_metrics.INNOVATIONS)
         for label, each in numbers.items():
             rows = each[..., : step_block.JUDGED + q].reshape(-1, step_block.JUDGED + q)
-            judged[label] = judged[label].add(rows, np.repeat(ticks >= out_from, p.slots))
-        truth = np.abs(part.truth[:kept])
+            innovations[label] = innovations[label].add(rows, np.repeat(ticks >= held_out_start, p.slots))
+        truth = np.abs(part.truth[:n_ticks])
         largest = np.fmax(largest, truth.max(0, initial=0.0, where=~np.isnan(truth)))
         largest_y = np.maximum(largest_y, np.where(w.mask, np.abs(w.value), 0.0).max((0, 1), initial=0.0))
         arrived += w.mask.sum((0, 1))
-        if enough:
-            u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
+        if has_memory:
+            u[part.first : part.first + n_ticks] = part.inputs[p.back :][:n_ticks]
             k, slot, channel = np.nonzero(w.mask)
             y[w.taken[k, slot], channel] = w.value[k, slot, channel]
             if w.variance_ratio is not None:
                 ratio[w.taken[k, slot], channel] = w.variance_ratio[k, slot, channel]
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
-    band, noise = np.asarray(p.problem.band)[: len(scored)], np.sqrt(np.asarray(p.setting.noise_variance))
+    band, noise = np.asarray(p.problem.band)[: len(score_signals)], np.sqrt(np.asarray(p.context.noise_variance))
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
-    smoothed = None
-    if model is not None and enough:
-        smoothed = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
-        draft.write(replay_metrics.smoothed_table(smoothed, signals, a.clock), replay_metrics.SMOOTHED)
+    smoothed_states = None
+    if model is not None and has_memory:
+        smoothed_states = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
+        draft.write(replay_metrics.smoothed_table(smoothed_states, signals, a.clock), replay_metrics.SMOOTHED)
     draft.close()
-    return Passage(judged, arrived, scores, smoothed, _delays(runners, ticks[-1] + 1))
+    return Passage(innovations, arrived, scores, smoothed_states, _delays(runners, ticks[-1] + 1))
 
 
 def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
@@ -218,11 +218,6 @@ def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
         if observer.delay:
             out[label] = np.asarray(step_block.jit_delay()(o.layout, o.problem, o.state, np.asarray(tick)))
     return out
-
-
-def held_out_from(a: Playback) -> int:
-    """Return the tick at which the held-out part of a recording begins."""
-    return int((1 - innovation_tests.HELD_OUT) * a.last)
 
 
 def _outputs(a: Playback) -> list[dict[str, str]]:
@@ -240,18 +235,18 @@ def _results(
     """Return the tables of a replay."""
     signals, dt = signals_of(a.cell.scenario), a.clock.dt
     innovations = pd.DataFrame(
-        [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.judged.items()]
+        [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.innovations.items()]
     )
-    channels = innovation_tests.by_channel(passage.judged, a.log.channels, passage.arrived)
+    channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
     for label, (mean, std) in passage.delays.items():
         a.remarks.append(
             f"{label}: estimated delay of {a.log.channels[0]} {mean:.4g} s, standard deviation {std:.2g} s."
         )
     distances = replay_metrics.distances(
-        draft.estimates, passage.smoothed, list(a.cell.options), signals, steady=a.cell.times.tail
+        draft.estimates, passage.smoothed_states, list(a.cell.options), signals, steady=a.cell.times.tail
     )
-    if passage.smoothed is None:
+    if passage.smoothed_states is None:
         a.remarks.append(
             "distances to a smoother are left out: it needs a linear model without unknown inputs, and memory for all ticks."
         )
@@ -272,7 +267,7 @@ def _results(
         "ticks": a.last,
         "dt": dt,
         "steady_start": a.cell.times.tail * dt,
-        "held_out_from": held_out_from(a) * dt,
+        "held_out_from": innovation_tests.held_out_start(a.last) * dt,
         "outputs": _outputs(a),
         "largest_rounding": off,
         "better_dt": better,

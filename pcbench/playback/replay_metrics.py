@@ -64,19 +64,21 @@ def table(
     return with_units(fields, clock)
 
 
-def smoothed_table(smoothed: Floats, signals: Signals, clock: Clock) -> pa.Table:
+def smoothed_table(smoothed_states: Floats, signals: Signals, clock: Clock) -> pa.Table:
     """Return the smoothed states [ticks, n] as a table: t and <signal>."""
-    fields = [(*TIME, np.arange(len(smoothed)) * clock.dt)]
-    fields += [(signal, unit, "smoothed state", x) for (signal, unit), x in zip(signals, smoothed.T, strict=False)]
+    fields = [(*TIME, np.arange(len(smoothed_states)) * clock.dt)]
+    fields += [
+        (signal, unit, "smoothed state", x) for (signal, unit), x in zip(signals, smoothed_states.T, strict=False)
+    ]
     return with_units(fields, clock)
 
 
 def innovation_table(
-    w: Window, first: int, judged: dict[str, Floats], channels: tuple[str, ...], clock: Clock
+    w: Window, first: int, innovations: dict[str, Floats], channels: tuple[str, ...], clock: Clock
 ) -> pa.Table:
     """Return the measurements that arrive in a window, which begins at tick `first`, as a table, in the order of arrival.
 
-    It has one row per measurement with its channel, times and value, and of each observer in `judged` [K, S, 2 q] the
+    It has one row per measurement with its channel, times and value, and of each observer in `innovations` [K, S, 2 q] the
     innovation and its standard deviation. They are NaN if the observer does not report them.
     """
     k, slot, channel = np.nonzero(w.mask)
@@ -85,7 +87,7 @@ def innovation_table(
         ("arrived", "s", "time since the start of the log", (first + k) * clock.dt),
         ("value", "", "measured value", w.value[k, slot, channel]),
     ]
-    for observer, numbers in judged.items():
+    for observer, numbers in innovations.items():
         sigma = numbers[k, slot, len(channels) + channel]
         meaning = "measured value minus prediction, given all that arrived before"
         fields.append((f"{observer}.innovation", "", meaning, numbers[k, slot, channel] * sigma))
@@ -132,9 +134,9 @@ class Draft:
     def finish(self, summary: Mapping[str, object]) -> None:
         """Write all other results next to the tables, NaN as null, and rename the files to their final names."""
         storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
-        written = [name for name in TABLES if name in self._writers]
-        storage.rename_all([(self.part(name), self.folder / name) for name in (*written, SUMMARY)])
-        for name in set(TABLES) - set(written):  # from an earlier replay
+        names = [name for name in TABLES if name in self._writers]
+        storage.rename_all([(self.part(name), self.folder / name) for name in (*names, SUMMARY)])
+        for name in set(TABLES) - set(names):  # from an earlier replay
             (self.folder / name).unlink(missing_ok=True)
 
 
@@ -166,29 +168,29 @@ def draft(folder: Path) -> Iterator[Draft]:
 
 def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
     """Write the summary of a replay without estimates to a folder; raise UserError if that fails."""
-    with draft(folder) as made:
-        storage.put_json(storage.target(folder), made.summary.name, plain(summary))
-        storage.rename_all([(made.summary, folder / SUMMARY)])
+    with draft(folder) as files:
+        storage.put_json(storage.target(folder), files.summary.name, plain(summary))
+        storage.rename_all([(files.summary, folder / SUMMARY)])
 
 
 def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
     """Yield the estimates of a file in parts, with the first tick of each."""
     first = 0
-    with pq.ParquetFile(file) as there:
-        for i in range(there.num_row_groups):
-            found = there.read_row_group(i, use_threads=False)
-            yield first, found
-            first += len(found)
+    with pq.ParquetFile(file) as parquet:
+        for i in range(parquet.num_row_groups):
+            table = parquet.read_row_group(i, use_threads=False)
+            yield first, table
+            first += len(table)
 
 
-def plain(thing: Any, nulls: bool = True) -> Any:
+def plain(value: Any, nulls: bool = True) -> Any:
     """Return a summary as JSON values, NaN as null; without `nulls` it is left out of tables."""
-    if isinstance(thing, dict):
-        out = {str(key): plain(each, nulls) for key, each in thing.items()}
+    if isinstance(value, dict):
+        out = {str(key): plain(each, nulls) for key, each in value.items()}
         return {key: each for key, each in out.items() if nulls or each is not None}
-    if isinstance(thing, list | tuple):
-        return [plain(each, nulls) for each in thing]
-    number = thing.item() if isinstance(thing, np.generic) else thing
+    if isinstance(value, list | tuple):
+        return [plain(each, nulls) for each in value]
+    number = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(number, float) and not np.isfinite(number) else number
 
 
@@ -197,15 +199,15 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
     rows = []
     for label, score in scores.items():
         s = jax.tree.map(np.asarray, score)
-        early, known = s.counts[0][:, None], s.counts.sum(0)[:, None]
+        early, total = s.counts[0][:, None], s.counts.sum(0)[:, None]
         streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
         watch = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 in a tail without truth
-            values = metrics.read(streams, watch, s.final[:, None], known, early, dt)
+            values = metrics.read(streams, watch, s.final[:, None], total, early, dt)
         values["unsettled"] = np.asarray(s.watch.unsettled > tail)[:, None]
         for metric, each in values.items():
             of_run = each.ndim == 1
-            every = zip(signals, each[:, None] if of_run else each, known.max(0) if of_run else known, strict=False)
+            every = zip(signals, each[:, None] if of_run else each, total.max(0) if of_run else total, strict=False)
             for (signal, unit), value, many in every:
                 if many:
                     unit = "1" if metric in ("unsettled", "diverged") else unit_of(metric, unit)
@@ -228,20 +230,22 @@ def rounding_warnings(
     return out
 
 
-def distances(file: Path, smoothed: Floats | None, observers: list[str], signals: Signals, steady: int) -> pd.DataFrame:
+def distances(
+    file: Path, smoothed_states: Floats | None, observers: list[str], signals: Signals, steady: int
+) -> pd.DataFrame:
     """Return the rms from tick `steady` on of each estimate minus the smoothed state, by observer and signal.
 
     Empty: no smoother. NaN: the recording ends before that tick.
     """
     rows = []
-    if smoothed is not None:
-        states = dict(zip(signals, smoothed.T, strict=False))
+    if smoothed_states is not None:
+        states = dict(zip(signals, smoothed_states.T, strict=False))
         sums = dict.fromkeys(((o, *signal) for o in observers for signal in states), 0.0)
         for first, table in parts(file):
             for o, signal, unit in sums:
                 e = table.column(f"{o}.{signal}").to_numpy() - states[signal, unit][first : first + len(table)]
                 e = e[max(steady - first, 0) :]
                 sums[o, signal, unit] += float(e @ e)
-        many = len(smoothed) - steady
+        many = len(smoothed_states) - steady
         rows = [(*key, np.sqrt(square / many) if many > 0 else np.nan) for key, square in sums.items()]
     return pd.DataFrame(rows, columns=["observer", "signal", "unit", "rms"])

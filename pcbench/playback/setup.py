@@ -53,7 +53,7 @@ class PlaybackSetup(NamedTuple):
 
     layout: Layout
     problem: GridPointParams
-    setting: DesignContext
+    context: DesignContext
     certificates: dict[str, Certificate]
     slots: int  # packets that may arrive at one tick
     back: int  # ticks of past inputs that observers may read
@@ -81,53 +81,53 @@ def open_playback(
     if cell is None:
         study, cell = all_observers.one_cell(plant, observers, overrides or [])
         excluded = study.excluded
-    opened, s = readers.open_log(log, delay), cell.scenario
+    recording, s = readers.open_log(log, delay), cell.scenario
     if isfinite(speed := s.sampling.processor_speed):
         raise UserError(
-            f"{opened.name}: got processor_speed = {speed:g} in {s.name}, expected inf: a recording contains its "
+            f"{recording.name}: got processor_speed = {speed:g} in {s.name}, expected inf: a recording contains its "
             "arrival times; leave it out."
         )
-    offsets = np.zeros(len(opened.channels)) if clock_offsets is None else clock_offsets
-    opened = shift_stamps(opened, offsets - s.belief.assumed_delay_error)
-    known, remarks = survey(opened), all_observers.sentences(excluded)
-    if len(opened.channels) != len(s.sampling.delay):
+    offsets = np.zeros(len(recording.channels)) if clock_offsets is None else clock_offsets
+    recording = shift_stamps(recording, offsets - s.belief.assumed_delay_error)
+    stats, remarks = survey(recording), all_observers.sentences(excluded)
+    if len(recording.channels) != len(s.sampling.delay):
         raise UserError(
-            f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
+            f"{recording.name}: got the channels {', '.join(recording.channels)}, expected one for each of the "
             f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
         )
-    require_units(opened, output_units(s))
-    opened, known, left_out = limit_truth(opened, known, [name for name, _ in estimated_of(s)])
-    remarks += left_out
-    tables = list(known.tables.values())
-    clock = Clock(min([known.start, *(t.least for t in tables)]) if start is None else start, s.dt)
-    end = max([known.end, *(t.most for t in tables)])
+    require_units(recording, output_units(s))
+    recording, stats, omissions = limit_truth(recording, stats, [name for name, _ in estimated_of(s)])
+    remarks += omissions
+    tables = list(stats.tables.values())
+    clock = Clock(min([stats.start, *(t.least for t in tables)]) if start is None else start, s.dt)
+    end = max([stats.end, *(t.most for t in tables)])
     last = int(clock.ticks(np.array([end]))[0])
     if last < 1 and start is None:
         raise UserError(
-            f"{opened.name}: got samples at {clock.start:.10g} s alone, expected two times at least; see whether "
+            f"{recording.name}: got samples at {clock.start:.10g} s alone, expected two times at least; see whether "
             "rows are missing."
         )
     if last < 1:
         raise UserError(
-            f"{opened.name}: got nothing after {clock.start:g} s, expected samples there; give an earlier --start."
+            f"{recording.name}: got nothing after {clock.start:g} s, expected samples there; give an earlier --start."
         )
-    rows = known.rows + sum(t.many for t in tables)
+    rows = stats.rows + sum(t.many for t in tables)
     if last > HORIZONS * cell.times.ticks * rows:
         raise UserError(
-            f"{opened.name}: {rows:,} rows cover {last:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to {end:.10g} s, "
+            f"{recording.name}: {rows:,} rows cover {last:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to {end:.10g} s, "
             f"more than {HORIZONS} durations of {s.duration:g} s per row; check the unit of the times (time_unit) and "
             "--start, or write a longer duration."
         )
-    if opened.inputs is None:
-        remarks.append(f"{opened.name} has no inputs: they are taken to be 0.")
-    if start is not None and known.start < start:
+    if recording.inputs is None:
+        remarks.append(f"{recording.name} has no inputs: they are taken to be 0.")
+    if start is not None and stats.start < start:
         remarks.append(f"what was sampled before {start:g} s is left out.")
-    remarks.extend(held_values(known))
-    if with_std := known.with_std():
-        remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {opened.name} states for it.")
+    remarks.extend(held_values(stats))
+    if with_std := stats.with_std():
+        remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {recording.name} states for it.")
     length = min(LENGTH, max(power_of_2(last + 1), 2))
-    name = Path(log).name if isinstance(log, str | Path) else opened.name
-    return Playback(name, opened, known, cell, clock, last=last, remarks=remarks, length=length)
+    name = Path(log).name if isinstance(log, str | Path) else recording.name
+    return Playback(name, recording, stats, cell, clock, last=last, remarks=remarks, length=length)
 
 
 def room_of(a: Playback) -> Room:
@@ -153,18 +153,18 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
             f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; check the unit "
             "of the times (time_unit), cut the log there, or write a longer duration."
         )
-    known = planning.setting(cell)
-    m, signals = known.model.B.shape[1], len(estimated_of(s))
+    context = planning.setting(cell)
+    m, signals = context.model.B.shape[1], len(estimated_of(s))
     if a.log.inputs is not None and len(a.log.inputs.names) != m:
         raise UserError(
             f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
             f"{m} inputs, in their order; correct the table."
         )
-    known = known._replace(
-        overtaking=max(known.overtaking, room.overtaking),
-        flight=max(known.flight, room.flight),
-        latest=max(known.latest, room.latest),
-        reach=max(known.reach, *(-(-room.latest // max(each, 1)) for each in known.period)),
+    context = context._replace(
+        overtaking=max(context.overtaking, room.overtaking),
+        flight=max(context.flight, room.flight),
+        latest=max(context.latest, room.latest),
+        reach=max(context.reach, *(-(-room.latest // max(each, 1)) for each in context.period)),
     )
     for label in cell.options:
         if cell.entry(label).observer.uses_silence and any(s.sampling.send_threshold):
@@ -172,7 +172,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
                 f"{where}: got {label} and a send_threshold, expected an observer that uses measurements alone: a recording "
                 "contains no samples that were not sent; use kf."
             )
-    designs = {o: planning.run_design(o, cell.entry(o), known, options) for o, options in cell.options.items()}
+    designs = {o: planning.run_design(o, cell.entry(o), context, options) for o, options in cell.options.items()}
     if with_std := a.survey.with_std():
         for label, each in designs.items():
             if not cell.entry(label).measurement_noise:
@@ -215,10 +215,10 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     return PlaybackSetup(
         layout=layout,
         problem=problem,
-        setting=known,
+        context=context,
         certificates={o: d.certificate for o, d in designs.items()},
         slots=room.slots,
         back=back,
         m=m,
-        variances=known.noise_variance if with_std else None,
+        variances=context.noise_variance if with_std else None,
     )

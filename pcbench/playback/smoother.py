@@ -52,14 +52,14 @@ class Forward(NamedTuple):
     s: Array  # [N, q]; 1 for a channel without a sample
 
 
-def model_of(known: DesignContext, xhat0: ArrayLike) -> Linear | None:
+def model_of(context: DesignContext, xhat0: ArrayLike) -> Linear | None:
     """Return the model of a design context; None if it is not linear or has an unknown input."""
-    if known.field or known.successor or known.model.E is not None or known.unknown_std:
+    if context.field or context.successor or context.model.E is not None or context.unknown_std:
         return None
-    Phi, Gamma = linear.one_tick(known.model, known.dt)
-    Q = linear.input_noise(known.model, known.input_intensity, known.dt) + known.process_noise
-    R, model = known.noise_variance, known.model
-    return Linear(Phi, Gamma, Q, model.C, model.feedthrough, R=R, x0=np.asarray(xhat0, float), P0=known.P0)
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
+    Q = linear.input_noise(context.model, context.input_intensity, context.dt) + context.process_noise
+    R, model = context.noise_variance, context.model
+    return Linear(Phi, Gamma, Q, model.C, model.feedthrough, R=R, x0=np.asarray(xhat0, float), P0=context.P0)
 
 
 def fits(model: Linear, ticks: int) -> bool:
@@ -86,8 +86,8 @@ def forward(model: Linear, u: Array, y: Array) -> Forward:
             keep = jnp.eye(len(x)) - jnp.outer(K, c)
             x, P = x + K * nu, keep @ P @ keep.T + r * jnp.outer(K, K)
             updates.append((K, nu, jnp.where(exists, s, 1.0)))
-        kept = Forward(*carry, *(jnp.stack(each) for each in zip(*updates, strict=True)))
-        return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), kept
+        values = Forward(*carry, *(jnp.stack(each) for each in zip(*updates, strict=True)))
+        return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), values
 
     rows = (u, y, jnp.broadcast_to(model.R, y.shape))
     return lax.scan(step, (jnp.asarray(model.x0), jnp.asarray(model.P0)), rows)[1]
@@ -99,8 +99,8 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
 
     def back(after: Array, row: Forward) -> tuple[Array, Array]:
         for j in reversed(range(len(model.C))):
-            used = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
-            after = jnp.where(used, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
+            has_sample = jnp.any(row.K[j] != 0) | (row.nu[j] != 0)
+            after = jnp.where(has_sample, after - model.C[j] * (row.K[j] @ after + row.nu[j] / row.s[j]), after)
         return model.Phi.T @ after, row.x - row.P @ after
 
     return lax.scan(back, jnp.zeros(len(model.Phi)), f, reverse=True)[1]

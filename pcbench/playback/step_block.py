@@ -35,22 +35,22 @@ class Score(NamedTuple):
     counts: Array  # [2, n] ticks with known truth, before the tail and in it
 
 
-class Read(NamedTuple):
+class TickOutputs(NamedTuple):
     """The recorded values of every tick of a block."""
 
     estimate: Array  # [K, n]
     sigma: Array  # [K, n] assumed standard deviations of the errors; [K, 0]: none, or not requested
-    surprise: Array  # [K, S, JUDGED + 2 q] innovation statistics of packets; [K, S, 0]: not reported
+    innovation_stats: Array  # [K, S, JUDGED + 2 q] innovation statistics of packets; [K, S, 0]: not reported
     delay: Array  # [K, 1] s, estimated; [K, 0]: not estimated
 
 
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # no motion, no measurement
 
 
-def init_run(layout: Layout, p: GridPointParams, scored: bool, seed: Array) -> tuple[Run, Score | None]:
+def init_run(layout: Layout, p: GridPointParams, with_score: bool, seed: Array) -> tuple[Run, Score | None]:
     """Return the observer before tick 0, and an empty score; None: no score."""
     run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, rng.words(jnp.asarray(0), seed[None])[:, 0])
-    if not scored:
+    if not with_score:
         return run, None
     ((label, o),) = layout.observers
     n = o.estimate(p.gains[label], run.memories[label]).shape[0] + layout.plant.scored
@@ -77,45 +77,45 @@ def run(
     w: Window,
     truth: Array,
     ends: Array,
-) -> tuple[Run, Score | None, Read]:
+) -> tuple[Run, Score | None, TickOutputs]:
     """Run the observer over `ticks` [K]; `ends` are the first tick of the tail, and the last tick, which is not scored."""
     ((label, o),) = layout.observers
     quiet = jnp.zeros((w.arrive.shape[1], JUDGED + 2 * len(p.params) if o.innovation else 0))
 
     def step(
         carry: tuple[Run, Score | None], row: tuple[Array, Window, Array]
-    ) -> tuple[tuple[Run, Score | None], Read]:
+    ) -> tuple[tuple[Run, Score | None], TickOutputs]:
         (run, score), (k, w, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
         run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
         memory = run.memories[label]
         delay = o.delay(p.gains[label], memory, present(p, k, False))[:1] if o.delay else jnp.zeros(0)
         sigma = trajectory.sigma(layout, p, k, run).get(label, jnp.zeros(0))
-        read = Read(o.estimate(p.gains[label], memory), sigma, surprise, delay)
+        outputs = TickOutputs(o.estimate(p.gains[label], memory), sigma, surprise, delay)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
             score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
-        return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), read
+        return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), outputs
 
-    (run, score), seen = lax.scan(step, (start, score), (ticks, w, truth))
-    return run, score, seen
+    (run, score), block_outputs = lax.scan(step, (start, score), (ticks, w, truth))
+    return run, score, block_outputs
 
 
 def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array, run: Run) -> tuple[Run, Array]:
     """Apply the events of tick k: snapshots of samples, then arrivals, the oldest packet first."""
     ((label, o),) = layout.observers
-    place, taken, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
-    noted = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
+    place, has_sample, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
+    snapshots = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
     notes = jax.tree.map(
-        lambda ring, new: ring.at[place].set(jnp.where(taken, new, ring[place])), run.flight.notes, noted
+        lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.notes, snapshots
     )
-    memories = select(taken, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
+    memories = select(has_sample, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
     run = run._replace(memories=memories, flight=run.flight._replace(notes=notes))
 
     def deliver(slot: Array, so_far: tuple[Run, Array]) -> tuple[Run, Array]:
         def jump(so_far: tuple[Run, Array]) -> tuple[Run, Array]:
             run, surprises = so_far
-            brought = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
+            packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
             age, since = jnp.full(w.mask[slot].shape, k - w.taken[slot]), w.ticks_since_arrival[slot]
             ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
             arrival = partial(
@@ -128,12 +128,12 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
                 variance_ratio=ratio,
             )
             if o.innovation:  # NaN: a skipped sample
-                found = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(brought[label]))
+                stats = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(packet[label]))
                 unknown = jnp.full(w.mask[slot].shape, jnp.nan)
-                each = [unknown if numbers is None else numbers for numbers in (found.each, found.sigma)]
-                total = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
-                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), *each]))
-            return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), surprises
+                by_channel = [unknown if numbers is None else numbers for numbers in (stats.each, stats.sigma)]
+                total = [jnp.asarray(jnp.nan if number is None else number) for number in stats[:JUDGED]]
+                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), *by_channel]))
+            return run._replace(memories=simulate_runs.jump(layout, p, k, run, packet, arrival)), surprises
 
         return lax.cond(w.arrive[slot] >= 0, jump, lambda so_far: so_far, so_far)
 
@@ -141,16 +141,16 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
     return out
 
 
-def _update_score(p: GridPointParams, score: Score, k: Array, known: Array, e: Array, ends: Array) -> Score:
+def _update_score(p: GridPointParams, score: Score, k: Array, has_truth: Array, e: Array, ends: Array) -> Score:
     """Return the score after the errors e [n] of tick k, where truth is known [n]."""
-    there, late = known & (k < ends[1]), k >= ends[0]
-    e = jnp.where(there, e, 0.0)  # adds nothing to the sums
+    is_scored, in_tail = has_truth & (k < ends[1]), k >= ends[0]
+    e = jnp.where(is_scored, e, 0.0)  # adds nothing to the sums
     return Score(
-        before=metrics.update(score.before, jnp.where(late, 0.0, e)),
-        tail=metrics.update(score.tail, jnp.where(late, e, 0.0)),
+        before=metrics.update(score.before, jnp.where(in_tail, 0.0, e)),
+        tail=metrics.update(score.tail, jnp.where(in_tail, e, 0.0)),
         watch=metrics.look(score.watch, k, e, p.band, p.bound, p.jumps),
-        final=jnp.where(there, e, score.final),
-        counts=score.counts + jnp.stack([there & ~late, there & late]),
+        final=jnp.where(is_scored, e, score.final),
+        counts=score.counts + jnp.stack([is_scored & ~in_tail, is_scored & in_tail]),
     )
 
 
@@ -167,6 +167,8 @@ def jit_delay() -> Callable[..., Array]:
 
 
 @cache
-def jit_step_block() -> tuple[Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, Read]]]:
+def jit_step_block() -> tuple[
+    Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, TickOutputs]]
+]:
     """Return `init_run` and `run` compiled, once for each shape in a process."""
     return program_cache.jit_with_limit(init_run, (0, 2)), program_cache.jit_with_limit(run, 0)

@@ -18,7 +18,7 @@ from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.playback import step_block
 from pcbench.playback.setup import Playback, PlaybackSetup
-from pcbench.playback.step_block import Read, Score
+from pcbench.playback.step_block import Score, TickOutputs
 from pcbench.recordings.log import Floats, Ints, Table
 from pcbench.recordings.times import require_forward
 from pcbench.recordings.windows import Window, cut, stretches, window
@@ -42,14 +42,14 @@ def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Par
     truth = at_ticks(a, a.log.truth, "truth", signals)
     before, arrived = np.zeros((p.back, p.m)), 0
     for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
-        laid, arrived = window(stretch, len(a.log.channels), p.slots, arrived, p.variances)
+        w, arrived = window(stretch, len(a.log.channels), p.slots, arrived, p.variances)
         rows = next(inputs)
         exists = ~np.isnan(rows).all(1) if p.m else np.zeros(a.length, bool)
         newest = np.maximum.accumulate(np.where(exists, np.arange(a.length), -1))
-        held = np.where((newest >= 0)[:, None], rows[np.maximum(newest, 0)], before[-1])
-        whole = np.concatenate([before, held])
-        yield Part(stretch.first, laid, whole, next(truth))
-        before = whole[len(whole) - p.back :]
+        held_inputs = np.where((newest >= 0)[:, None], rows[np.maximum(newest, 0)], before[-1])
+        part_inputs = np.concatenate([before, held_inputs])
+        yield Part(stretch.first, w, part_inputs, next(truth))
+        before = part_inputs[len(part_inputs) - p.back :]
 
 
 def at_ticks(a: Playback, table: Table | None, what: str, names: Sequence[str]) -> Iterator[Floats]:
@@ -91,13 +91,13 @@ class Runner(NamedTuple):
     score: Score | None
 
 
-def init_runners(p: PlaybackSetup, scored: bool, seed: int) -> list[Runner]:
+def init_runners(p: PlaybackSetup, with_score: bool, seed: int) -> list[Runner]:
     """Return every observer before tick 0."""
     out = []
     for label, observer in p.layout.observers:
         layout = p.layout._replace(observers=((label, observer),), consistency=True)
         problem = p.problem._replace(gains={label: p.problem.gains[label]})
-        state, score = step_block.jit_step_block()[0](layout, problem, scored, np.asarray(seed))
+        state, score = step_block.jit_step_block()[0](layout, problem, with_score, np.asarray(seed))
         state = state if p.variances is None else step_block.with_variances(state)
         out.append(Runner(label, layout, problem, state, score))
     return out
@@ -105,27 +105,27 @@ def init_runners(p: PlaybackSetup, scored: bool, seed: int) -> list[Runner]:
 
 def through(
     runners: list[Runner], parts: Iterable[Part], back: int, ends: Ints
-) -> Iterator[tuple[Part, dict[str, Read]]]:
+) -> Iterator[tuple[Part, dict[str, TickOutputs]]]:
     """Run observers through a recording; yield each part with their outputs while the next one is computed.
 
     `runners` are updated in place. `back` is as in `PlaybackSetup`, `ends` as in `step_block.run`.
     """
 
-    def advance(o: Runner, part: Part) -> tuple[Runner, Read]:
+    def advance(o: Runner, part: Part) -> tuple[Runner, TickOutputs]:
         problem = o.problem._replace(inputs=InputWindow(part.inputs, np.asarray(part.first - back)))
         ticks = part.first + np.arange(len(part.window.event))
-        state, score, read = step_block.jit_step_block()[1](
+        state, score, outputs = step_block.jit_step_block()[1](
             o.layout, problem, o.state, o.score, ticks, part.window, part.truth, ends
         )
-        return o._replace(state=state, score=score), jax.block_until_ready(read)
+        return o._replace(state=state, score=score), jax.block_until_ready(outputs)
 
     before: Part | None = None
-    work: list[Future[tuple[Runner, Read]]] = []
+    work: list[Future[tuple[Runner, TickOutputs]]] = []
     with thread_pools.pool(min(len(runners), runner.cores())) as threads:
         for part in chain(parts, [None]):
-            done = [each.result() for each in work]
-            runners[:] = [o for o, _ in done] or runners
+            results = [each.result() for each in work]
+            runners[:] = [o for o, _ in results] or runners
             work = [threads.submit(runner.in_float64, advance, o, part) for o in runners if part]
             if before:
-                yield before, {o.label: read for o, read in done}
+                yield before, {o.label: outputs for o, outputs in results}
             before = part

@@ -5,7 +5,6 @@ The held-out part is that of a replay (`innovation_tests.HELD_OUT` of the ticks)
 first one and is the result, as a rare channel needs all samples. The held-out gain is that of the first fit.
 """
 
-from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -108,17 +107,17 @@ def tune_log(
         _require(entry, budget, where)
         delays: list[ChannelDelay] = []
         if find_delay:
-            delays, found = _find_delays(a, only, max_delay, where, progress)
+            delays, delay_remarks = _find_delays(a, only, max_delay, where, progress)
             offsets = -np.array([each.estimate for each in delays])
             a = open_playback(
                 log, plant, [observer], delay=delay, start=start, overrides=overrides, clock_offsets=offsets
             )
-            a.remarks.extend(found)
+            a.remarks.extend(delay_remarks)
         p, part = likelihood.load_recording(a)
-        context, cut = p.setting, int((1 - innovation_tests.HELD_OUT) * a.last)
-        designed = planning.run_design(label, entry, context, options)
-        names = _tuned_options(entry, options, designed, only, where)
-        free, at_start = tune.free_parameters(label, entry, context, options, designed, names, where)
+        context, held_out_start = p.context, innovation_tests.held_out_start(a.last)
+        start_design = planning.run_design(label, entry, context, options)
+        names = _tuned_options(entry, options, start_design, only, where)
+        free, at_start = tune.free_parameters(label, entry, context, options, start_design, names, where)
         if any(f.kind == "covariance" for f in free):
             raise UserError(
                 f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
@@ -128,11 +127,11 @@ def tune_log(
             return planning.run_design(label, entry, context, parameters.put(options, free, point)).gains
 
         def fit(history: History, at: Vector, end: int) -> Vector:
-            tune.descend("descent", history, at, lambda point: _value(look(point), end), budget, where, progress)
+            tune.descend("descent", history, at, lambda point: _value(evaluate(point), end), budget, where, progress)
             return np.array(history.best.at)
 
-        brought = part.window.mask.sum((1, 2))
-        _require_samples(part.first + np.arange(len(brought)), brought, cut, len(at_start), where)
+        arrivals = part.window.mask.sum((1, 2))
+        _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
         target = storage.target(str(out) if out is not None else spare)
         content = sha256()
         for each in (*part.window, part.inputs):
@@ -142,42 +141,44 @@ def tune_log(
         trials = History(target, about, entries, basis_of(study, a.cell))
         progress.begin("points", budget)
         progress.note("compiling")
-        look = likelihood.evaluator(p, part, design)
-        before = look(at_start)
-        _require_samples(before.tick, before.numbers[:, 1], cut, len(at_start), where)  # an observer may skip some
+        evaluate = likelihood.evaluator(p, part, design)
+        before = evaluate(at_start)
+        # an observer may skip some
+        _require_samples(before.tick, before.numbers[:, 1], held_out_start, len(at_start), where)
         if not np.isfinite(before.each).all():
             raise tune.NoStart(
                 f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
             )
         if not entry.smooth:
-            _require_slope(look, at_start, before, where)
-        if left := int(brought.sum() - before.numbers[:, 1].sum()):
+            _require_slope(evaluate, at_start, before, where)
+        if n_skipped := int(arrivals.sum() - before.numbers[:, 1].sum()):
             a.remarks.append(
-                f"{label} reports no innovation for {left:,} of {int(brought.sum()):,} measured numbers, so they are not in "
-                "its likelihood."
+                f"{label} reports no innovation for {n_skipped:,} of {int(arrivals.sum()):,} measured numbers, so they are not "
+                "in its likelihood."
             )
-        after = look(fitted := fit(trials, at_start, cut))
+        after = evaluate(first_fit := fit(trials, at_start, held_out_start))
         refit = History(target, f"{about}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
         progress.begin("points", budget)
-        best = fit(refit, fitted, a.last + 1)
+        best = fit(refit, first_fit, a.last + 1)
 
         def total(at: Vector) -> tuple[float, Vector]:
-            samples = look(at)
+            samples = evaluate(at)
             return float(samples.each.sum()), np.asarray(samples.score.sum(0))
 
-        late, arrived = before.tick >= cut, not any(refit.best.slope)
-        more, many = after.each[late] - before.each[late], float(before.numbers[late, 1].sum())
-        gain, se = float(more.sum() / many), float(np.std(more, ddof=1) * np.sqrt(len(more)) / many)
-        kept = "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
-        chosen = at_start if kept else best
-        low, high = innovation_tests.intervals(total, best) if arrived else (np.full(len(best), np.nan),) * 2
+        late, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
+        diff, many = after.each[late] - before.each[late], float(before.numbers[late, 1].sum())
+        gain, se = float(diff.sum() / many), float(np.std(diff, ddof=1) * np.sqrt(len(diff)) / many)
+        reason = (
+            "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
+        )
+        low, high = innovation_tests.intervals(total, best) if is_converged else (np.full(len(best), np.nan),) * 2
         intensities = _intensities(free, at_start, best, low, high)
         held_out = {what: _judgement(each.numbers[late]) for what, each in (("start", before), ("tuned", after))}
         tuned = LogTuning(
-            study=tune.with_options(study, label, {} if kept else parameters.written(free, best)),
+            study=tune.with_options(study, label, {} if reason else parameters.written(free, best)),
             start=parameters.written(free, at_start),
             found=parameters.written(free, best),
-            kept_start=kept,
+            kept_start=reason,
             intensities=intensities,
             held_out=held_out,
             gain=gain,
@@ -186,15 +187,15 @@ def tune_log(
             said=[
                 *a.remarks,
                 *_factors(a, p, parameters.written(free, best)),
-                *_remarks(arrived, intensities, held_out["tuned"]["ljung_box_p"]),
+                *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
             ],
-            log_likelihood=total(chosen)[0] / float(before.numbers[:, 1].sum()),
+            log_likelihood=total(at_start if reason else best)[0] / float(before.numbers[:, 1].sum()),
             delays=delays,
         )
         _write(tuned, target, about)
         if delays and out is not None:
-            corrected = {d.channel: -d.estimate for d in delays}
-            storage.put(target, CORRECTED, toml_with_offsets(Path(log), corrected, delay, Path(out)).encode())
+            stamp_offsets = {d.channel: -d.estimate for d in delays}
+            storage.put(target, CORRECTED, toml_with_offsets(Path(log), stamp_offsets, delay, Path(out)).encode())
         return tuned
 
 
@@ -211,12 +212,12 @@ def _find_delays(
         )
 
     def gains_of(p: PlaybackSetup) -> tuple[likelihood.AffineGains, Vector]:
-        designed = planning.run_design(label, entry, p.setting, options)
-        names = _tuned_options(entry, options, designed, only, where)
-        free, z = tune.free_parameters(label, entry, p.setting, options, designed, names, where)
+        start_design = planning.run_design(label, entry, p.context, options)
+        names = _tuned_options(entry, options, start_design, only, where)
+        free, z = tune.free_parameters(label, entry, p.context, options, start_design, names, where)
 
         def design(point: Vector) -> PyTree:
-            return planning.run_design(label, entry, p.setting, parameters.put(options, free, point)).gains
+            return planning.run_design(label, entry, p.context, parameters.put(options, free, point)).gains
 
         if (gains := likelihood.affine_gains(design, z)) is None:
             raise UserError(
@@ -251,9 +252,9 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
         )
 
 
-def _require_slope(look: Callable[[Vector], SampleLikelihood], at: Vector, here: SampleLikelihood, where: str) -> None:
+def _require_slope(evaluate: likelihood.Evaluator, at: Vector, here: SampleLikelihood, where: str) -> None:
     """Raise UserError if the likelihood's derivative differs from its differences, as for random or iterated steps."""
-    beyond, behind = (look(at + sign * SHORT).each.sum() for sign in (1, -1))
+    beyond, behind = (evaluate(at + sign * SHORT).each.sum() for sign in (1, -1))
     by_differences, slope = (beyond - behind) / (2 * SHORT), here.score.sum()
     if not abs(by_differences - slope) <= SLOPE * (abs(slope) + np.sqrt(len(here.each))):
         raise UserError(
@@ -263,7 +264,7 @@ def _require_slope(look: Callable[[Vector], SampleLikelihood], at: Vector, here:
 
 
 def _tuned_options(
-    entry: ObserverSpec, options: BaseModel, designed: Design, only: list[str] | None, where: str
+    entry: ObserverSpec, options: BaseModel, design: Design, only: list[str] | None, where: str
 ) -> list[str]:
     """Return the options to tune: `only`, or all noise intensities that are not 0."""
     if only is not None:
@@ -272,7 +273,7 @@ def _tuned_options(
     for name in NOISE:
         if name in parameters.tunable(entry):
             value = getattr(options, name)
-            value = designed.certificate.numbers.get(name) if value is None or isinstance(value, str) else value
+            value = design.certificate.numbers.get(name) if value is None or isinstance(value, str) else value
             if value is not None and np.any(np.asarray(value, float) > 0):
                 names.append(name)
     if not names:
@@ -283,9 +284,9 @@ def _tuned_options(
     return names
 
 
-def _require_samples(tick: Ints, numbers: Ints | Floats, cut: int, free: int, where: str) -> None:
+def _require_samples(tick: Ints, numbers: Ints | Floats, held_out_start: int, free: int, where: str) -> None:
     """Raise UserError if there are too few `numbers` [N] at ticks [N] to tune or to test."""
-    early, least = tick < cut, FEWEST * free
+    early, least = tick < held_out_start, FEWEST * free
     for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
         if (many := int(numbers[which].sum())) < least:
             raise UserError(
@@ -316,19 +317,19 @@ def _intensities(
     return [Intensity(name, *map(float, row)) for name, *row in zip(names, *rows, strict=True)]
 
 
-def _factors(a: Playback, p: PlaybackSetup, found: dict[str, Any]) -> list[str]:
+def _factors(a: Playback, p: PlaybackSetup, options: dict[str, Any]) -> list[str]:
     """Return the factor by which a tuned R scales the stated standard deviations of each channel, as a sentence."""
-    if p.variances is None or "R" not in found:
+    if p.variances is None or "R" not in options:
         return []
-    factors = zip(a.log.channels, np.sqrt(found["R"] / p.variances), strict=True)
+    factors = zip(a.log.channels, np.sqrt(options["R"] / p.variances), strict=True)
     each = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
     return [f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {each}."]
 
 
-def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | str) -> list[str]:
+def _remarks(is_converged: bool, intensities: list[Intensity], ljung_box_p: float | str) -> list[str]:
     """Return remarks on the intervals; `ljung_box_p` is that of the held-out part."""
     out = []
-    if not arrived:
+    if not is_converged:
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
     elif unknown := [i.name for i in intensities if np.isnan(i.low)]:
         out.append(
@@ -353,13 +354,13 @@ def _remarks(arrived: bool, intensities: list[Intensity], ljung_box_p: float | s
 
 def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     """Write a study that can be run, and the record of the tuning under [resolved.tuning]."""
-    said: dict[str, object] = {
+    summary: dict[str, object] = {
         "about": about,
         "start": tuned.start,
         "found": tuned.found,
         "kept_start": tuned.kept_start,
     }
-    said |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
-    said |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
-    record = plain(said, nulls=False)  # TOML has no null: unknown values are left out
+    summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
+    summary |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
+    record = plain(summary, nulls=False)  # TOML has no null: unknown values are left out
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

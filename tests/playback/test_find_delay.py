@@ -40,7 +40,7 @@ class Quadratic:
     samples = 400
 
     def __init__(self, peak, H, low, high, dt=DT):
-        self.peak, self.H, self.known = np.array(peak), np.array(H), {}
+        self.peak, self.H, self.cache = np.array(peak), np.array(H), {}
         self.low, self.high = np.array(low), np.array(high)
         interval = SimpleNamespace(median=4 * dt, many=9)
         delays = SimpleNamespace(least=-float(min(low)) * dt, many=9)
@@ -53,12 +53,12 @@ class Quadratic:
         for each in wanted:
             assert np.array_equal(np.clip(each, self.low, self.high), each)
             e = np.array(each) - self.peak
-            self.known[each] = Best(-0.5 * self.samples * np.log1p(e @ self.H @ e / self.samples), None)
-        return [self.known[each].value for each in wanted]
+            self.cache[each] = Best(-0.5 * self.samples * np.log1p(e @ self.H @ e / self.samples), None)
+        return [self.cache[each].value for each in wanted]
 
     @property
     def best(self):
-        return max(self.known, key=lambda each: self.known[each].value)
+        return max(self.cache, key=lambda each: self.cache[each].value)
 
     def half(self, c):
         """Half the width of the interval of a channel, all other delays at their best [s]."""
@@ -181,8 +181,8 @@ def profiled(tmp_path_factory):
 def test_likelihood_of_a_delay_is_that_of_the_book(profiled):
     columns, u, profile, _ = profiled
     for shift in (0, 5, 9, 30):
-        best = profile.known[shift,] if (shift,) in profile.known else Best(profile.ask([(shift,)])[0], None)
-        z = profile.known[shift,].z
+        best = profile.cache[shift,] if (shift,) in profile.cache else Best(profile.ask([(shift,)])[0], None)
+        z = profile.cache[shift,].z
         value, many = book(columns, u, shift, z, 30, len(u) + 8)
         assert many == profile.samples
         assert best.value == pytest.approx(value, rel=1e-10)
@@ -192,7 +192,7 @@ def test_likelihood_of_a_delay_is_that_of_the_book(profiled):
 def test_score_and_information_are_those_of_the_books_differences(profiled):
     columns, u, profile, _ = profiled
     shift, step = 9, 1e-5
-    z = profile.known[shift,].z
+    z = profile.cache[shift,].z
     each = jax.tree.map(lambda a: np.stack([a] * profile.lanes), profile._window((shift,)))
     g, p = profile.gains, profile.p
     found = delay_profile.jit_lanes()(
@@ -216,11 +216,11 @@ def test_profile_is_the_maximum_over_the_noise_and_its_peak_the_estimate(profile
     ticks = np.arange(7, 13)
     values = []
     for shift in ticks:
-        at = profile.known[shift,]
+        at = profile.cache[shift,]
         cost = lambda z, shift=shift: -book(columns, u, shift, np.maximum(z, -27.6), 30, len(u) + 8)[0]  # noqa: E731
         best = minimize(cost, at.z, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6, "maxiter": 4000})
         values.append(-best.fun)
-        drop = profile.known[profile.best].value - at.value
+        drop = profile.cache[profile.best].value - at.value
         assert at.value == pytest.approx(values[-1], abs=0.02 + 2 * delay_profile.PART * drop)
     i = int(np.argmax(values))
     a, b, c = np.exp(-2 * (np.array(values[i - 1 : i + 2]) - values[i]) / profile.samples)  # a parabola through three

@@ -164,7 +164,7 @@ def test_R_multiplies_what_is_stated_and_its_score_is_a_slope(tmp_path):
 
     def design(point):
         return planning.run_design(
-            "kf", entry, p.setting, options.model_copy(update={"R": np.exp(point).tolist()})
+            "kf", entry, p.context, options.model_copy(update={"R": np.exp(point).tolist()})
         ).gains
 
     look, channel = likelihood.evaluator(p, part, design), np.array([s.channel for s in samples])

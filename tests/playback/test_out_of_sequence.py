@@ -105,7 +105,7 @@ def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
 
     def design(point):
         free = options.model_copy(update={"R": np.exp(point).tolist()})
-        return planning.run_design("kf", entry, p.setting, free).gains
+        return planning.run_design("kf", entry, p.context, free).gains
 
     found = likelihood.evaluator(p, part, design)(np.log(R))
     assert len(found.tick) == len({(s.arrival, s.taken) for s in samples})

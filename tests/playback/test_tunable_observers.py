@@ -55,11 +55,11 @@ def test_score_is_the_derivative_of_the_likelihood(recording, name):
         a = setup.open_playback(recording, plant, [name])
         entry, options = a.cell.entry(name), a.cell.options[name]
         p, part = likelihood.load_recording(a)
-        designed = planning.run_design(name, entry, p.setting, options)
-        free, start = tune.free_parameters(name, entry, p.setting, options, designed, ["R", "Q"], "here")
+        designed = planning.run_design(name, entry, p.context, options)
+        free, start = tune.free_parameters(name, entry, p.context, options, designed, ["R", "Q"], "here")
 
         def design(point):
-            return planning.run_design(name, entry, p.setting, parameters.put(options, free, point)).gains
+            return planning.run_design(name, entry, p.context, parameters.put(options, free, point)).gains
 
         look, h = likelihood.evaluator(p, part, design), 1e-4
         at = start + np.linspace(0.1, 0.3, len(start))
