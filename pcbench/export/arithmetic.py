@@ -13,7 +13,7 @@ from jax.lax import RoundingMethod
 
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn, EqnParams
-from pcbench.export.terms import Entries, Entry, Term, Writer, kind_of, number_entries, place_of, written
+from pcbench.export.terms import Entries, Entry, Term, Writer, as_c, kind_of, number_entries, place_of
 from pcbench.planning.operation_counts import ONCE
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
@@ -56,15 +56,15 @@ def _convert_number(kind: str, a: list[str], source: str) -> str:
         return f"{a[0]} != 0"
     if source != "real" or kind == "real":
         return f"({kind}){a[0]}"
-    name, signed = kind[:-2].upper(), kind[0] == "i"
-    bits = int("".join(filter(str.isdigit, kind))) - signed
+    name, is_signed = kind[:-2].upper(), kind[0] == "i"
+    bits = int("".join(filter(str.isdigit, kind))) - is_signed
     least, low, most = (
-        (f"{name}_MIN", f"(-R({2.0**bits!r}))", f"{name}_MAX") if signed else ("0", "R(0.0)", f"{name}_MAX")
+        (f"{name}_MIN", f"(-R({2.0**bits!r}))", f"{name}_MAX") if is_signed else ("0", "R(0.0)", f"{name}_MAX")
     )
     return f"{a[0]} != {a[0]} ? 0 : {a[0]} <= {low} ? {least} : {a[0]} >= R({2.0**bits!r}) ? {most} : ({kind}){a[0]}"
 
 
-def _chosen(a: list[str]) -> str:
+def _select(a: list[str]) -> str:
     """The case that a selector names; 0 or false is the first."""
     which, cases = a[0], a[1:]
     if len(cases) == 2:
@@ -75,8 +75,8 @@ def _chosen(a: list[str]) -> str:
 def _divide(kind: str, a: list[str], sign: str) -> str:
     if kind == "real":
         return f"{a[0]} / {a[1]}" if sign == "/" else f"F(fmod)({a[0]}, {a[1]})"
-    nothing = "(-1)" if sign == "/" else a[0]
-    return f"{a[1]} != 0 ? {a[0]} {sign} {a[1]} : {nothing}"
+    fallback = "(-1)" if sign == "/" else a[0]
+    return f"{a[1]} != 0 ? {a[0]} {sign} {a[1]} : {fallback}"
 
 
 def _round_number(params: Mapping[str, object], a: list[str]) -> str:
@@ -90,7 +90,7 @@ OTHERS: dict[str, Callable[[EqnParams, str, list[str]], str]] = {
     "div": lambda params, kind, a: _divide(kind, a, "/"),
     "rem": lambda params, kind, a: _divide(kind, a, "%"),
     "integer_pow": lambda params, kind, a: _power(int(params["y"]), a),
-    "select_n": lambda params, kind, a: _chosen(a),
+    "select_n": lambda params, kind, a: _select(a),
     "round": lambda params, kind, a: _round_number(params, a),
     "shift_right_logical": lambda params, kind, a: f"({kind})(({UNSIGNED.get(kind, kind)}){a[0]} >> {a[1]})",
 }
@@ -103,41 +103,41 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     if name in SAME or (name == "convert_element_type" and eqn.invars[0].aval.dtype == aval.dtype):
         return args[0]
     kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
-    counted = int(name in ONCE and kind == "real")
+    products = int(name in ONCE and kind == "real")
     each = [np.broadcast_to(a, aval.shape) for a in args]
     if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MANY:
-        return _chosen_in_a_loop(w, kind, *each)
+        return _select_in_loop(w, kind, *each)
     for i in np.ndindex(aval.shape):
-        mine = [a[i] for a in each]
-        if name == "select_n" and not isinstance(mine[0], Term):
-            out[i] = mine[1 + int(mine[0])]
-        elif not any(isinstance(x, Term) for x in mine):
-            arrays = [jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(mine, eqn.invars, strict=True)]
+        operands = [a[i] for a in each]
+        if name == "select_n" and not isinstance(operands[0], Term):
+            out[i] = operands[1 + int(operands[0])]
+        elif not any(isinstance(x, Term) for x in operands):
+            arrays = [jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(operands, eqn.invars, strict=True)]
             out[i] = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))[()]
         else:
-            texts = [written(x) for x in mine]
+            texts = [as_c(x) for x in operands]
             if name == "convert_element_type":
                 text = _convert_number(kind, texts, kind_of(eqn.invars[0].aval.dtype))
             else:
                 text = TEXTS[name].format(*texts) if name in TEXTS else OTHERS[name](eqn.params, kind, texts)
-            out[i] = w.let(kind, text, counted)
+            out[i] = w.let(kind, text, products)
     return out
 
 
-def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: Entries) -> Entries:
+def _select_in_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: Entries) -> Entries:
     """Write a selection between two arrays, entry by entry; a known selector is evaluated here."""
-    there = np.array([isinstance(x, Term) for x in which.flat]).reshape(which.shape)
+    is_term = np.array([isinstance(x, Term) for x in which.flat]).reshape(which.shape)
     out = np.empty(which.shape, object)
-    for i in zip(*np.nonzero(~there), strict=True):
+    for i in zip(*np.nonzero(~is_term), strict=True):
         out[i] = (yes if which[i] else no)[i]
-    open_ = which[there]
+    open_ = which[is_term]
     same = all(x.text == open_[0].text for x in open_)
     condition = open_[0].text if same else _index_entry(w, "bool", open_)
-    either = [_index_entry(w, kind, each[there]) for each in (yes, no)]
-    made = w.room(kind, open_.shape)
+    either = [_index_entry(w, kind, each[is_term]) for each in (yes, no)]
+    target = w.room(kind, open_.shape)
     with w.block(f"for (int i = 0; i < {open_.size}; i++)"):
-        w.say(f"{made[0].store}[i] = {condition} ? {either[0]} : {either[1]};")
-    for i, x in zip(zip(*np.nonzero(there), strict=True), made, strict=True):
+        w.say(f"{target[0].store}[i] = {condition} ? {either[0]} : {either[1]};")
+    for i, x in zip(zip(*np.nonzero(is_term), strict=True), target, strict=True):
         out[i] = x
     return out
 
@@ -163,11 +163,11 @@ def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
             np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0]
         )
     for i in np.ndindex(out.shape):
-        each = [written(x) for x in flat[i]]
+        each = [as_c(x) for x in flat[i]]
         if not each:
             out[i] = none[()]
         elif how in ("LARGER", "SMALLER"):
-            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({written(x)}, {y})"), each[1:], flat[i][0])
+            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({as_c(x)}, {y})"), each[1:], flat[i][0])
         else:
             out[i] = w.let(kind, f" {how} ".join(each)) if len(each) > 1 else flat[i][0]
     return out
@@ -181,7 +181,7 @@ def running_sum(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     out = a.copy()
     for k in range(1, len(a)):
         for i in np.ndindex(a.shape[1:]):
-            out[k, *i] = w.let(kind, f"{written(out[k - 1, *i])} + {written(a[k, *i])}")
+            out[k, *i] = w.let(kind, f"{as_c(out[k - 1, *i])} + {as_c(a[k, *i])}")
     return np.moveaxis(out[::-1] if jaxpr_compat.param(eqn, "reverse") else out, 0, axis)
 
 
@@ -194,10 +194,10 @@ def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         best: Entry = a[i][0]
         where: Entry = np.int64(0)
         for k, x in enumerate(a[i][1:], 1):
-            better = w.let("bool", f"{written(x)} {sign} {written(best)}").text
+            better = w.let("bool", f"{as_c(x)} {sign} {as_c(best)}").text
             best, where = (
-                w.let(kind_of(eqn.invars[0].aval.dtype), f"{better} ? {written(x)} : {written(best)}"),
-                w.let(kind, f"{better} ? {k} : {written(where)}"),
+                w.let(kind_of(eqn.invars[0].aval.dtype), f"{better} ? {as_c(x)} : {as_c(best)}"),
+                w.let(kind, f"{better} ? {k} : {as_c(where)}"),
             )
         out[i] = where
     return out
@@ -210,7 +210,7 @@ def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     a, b = _arrange_axes(args[0], ba, ca), _arrange_axes(args[1], bb, cb)
     kind, out = kind_of(aval.dtype), np.empty(aval.size, object)
     for at, (k, i, j) in enumerate(np.ndindex(a.shape[0], a.shape[1], b.shape[1])):
-        terms = [f"{written(x)} * {written(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
+        terms = [f"{as_c(x)} * {as_c(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
         out[at] = w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else number_entries(0.0)[()]
     return out.reshape(aval.shape)
 

@@ -126,9 +126,9 @@ def header(about: About, s: Source) -> str:
             strict=True,
         )
     ]
-    said = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
+    texts = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
             "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
-    arrival = [each._replace(says=says) for each, says in zip(s.arrival, said, strict=True)]
+    arrival = [each._replace(says=says) for each, says in zip(s.arrival, texts, strict=True)]
     signals = ", ".join(comment(f"{name} [{unit}]") for name, unit in about.signals)
     order = ORDER.format(
         label=label,
@@ -202,10 +202,10 @@ def code(about: About, s: Source) -> str:
     """Return the text of the functions."""
     parts = [f'#include "{about.label}.h"\n', PRELUDE.format(label=about.label)]
     for f in s.functions:
-        unused = [f"    (void){x};" for x in ("g", "m", "now", "a") if re.search(rf"\*{x}\b", f.head)]
+        casts = [f"    (void){x};" for x in ("g", "m", "now", "a") if re.search(rf"\*{x}\b", f.head)]
         checks = [ADMITTED.format(outputs=about.outputs, macro=_macro(about))] if f.name == "jump" else []
         head = f"{f.returns} {about.label}_{f.name}({f.head})"
-        parts.append("\n".join([head, "{", *unused, *checks, *f.lines, "}", ""]))
+        parts.append("\n".join([head, "{", *casts, *checks, *f.lines, "}", ""]))
     return "\n".join(parts)
 
 

@@ -7,7 +7,7 @@ from pcbench.export import c_files
 from pcbench.export.c_files import About, plain
 from pcbench.export.observer_to_c import Source
 from pcbench.export.structs import Vector
-from pcbench.export.terms import number_entries, written
+from pcbench.export.terms import as_c, number_entries
 
 MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
    With the argument `estimates` it prints them instead, a line a tick. */
@@ -117,7 +117,7 @@ BEFORE = """    for (long i = 0; i < BEFORE; i++) {{
 PAST = "\n            now.past[(BEFORE - 1 - i) * INPUTS + j] = ({label}_real)before[i][j];"
 
 
-def main(about: About, s: Source, noted: int) -> str:
+def main(about: About, s: Source, snapshot_size: int) -> str:
     """Return the program that replays the test vector."""
     label, has = about.label, {f.name for f in s.functions}
     return MAIN.format(
@@ -125,16 +125,16 @@ def main(about: About, s: Source, noted: int) -> str:
         before=BEFORE.format(label=label, past=PAST.format(label=label) if s.looks_back else ""),
         snapshot=SNAPSHOT.format(label=label) if "snapshot" in has else "",
         sampled=SAMPLED.format(label=label) if "sampled" in has else "",
-        carry=CARRY.format() if noted else "",
+        carry=CARRY.format() if snapshot_size else "",
     )
 
 
-def header(about: About, v: Vector, noted: int, ring: int) -> str:
+def header(about: About, v: Vector, snapshot_size: int, ring: int) -> str:
     """Return the test vector as constants; at most `ring` packets are in transit at a time."""
     q, m, s = about.outputs, about.inputs, v.expected.shape[1]
     sizes = {
         "TICKS": len(v.expected), "EVENTS": len(v.events), "SIGNALS": s, "INPUTS": m, "OUTPUTS": q, "BEFORE": len(v.before),
-        "NOTED": max(noted, 1), "RING": max(ring, 1),
+        "NOTED": max(snapshot_size, 1), "RING": max(ring, 1),
     }  # fmt: skip
     lines = [
         f"/* A run of {c_files.comment(about.scenario)} with {c_files.comment(about.observer)}. */",
@@ -178,7 +178,7 @@ def _quote_name(name: str) -> str:
 
 
 def _row(values: ArrayLike) -> str:
-    return ", ".join(written(x) for x in number_entries(values).flat)
+    return ", ".join(as_c(x) for x in number_entries(values).flat)
 
 
 def _table(name: str, many: int, rows: np.ndarray) -> list[str]:

@@ -13,17 +13,7 @@ from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.engine.jaxpr_compat import ClosedJaxpr, Eqn, Jaxpr
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places
-from pcbench.export.terms import (
-    Entries,
-    Term,
-    Writer,
-    array_entries,
-    is_known,
-    kind_of,
-    number_entries,
-    scalar,
-    written,
-)
+from pcbench.export.terms import Entries, Term, Writer, array_entries, as_c, is_known, kind_of, number_entries, scalar
 
 Rule = Callable[[Writer, Eqn, list[Entries]], Entries]
 MOVES = jaxpr_compat.STRUCTURAL | {"split", "stack", "tile"}
@@ -46,9 +36,9 @@ class UnsupportedPrimitive(UserError):
     """A primitive that this translation does not support."""
 
 
-def write(w: Writer, closed: ClosedJaxpr, args: list[Entries]) -> list[Entries]:
+def write(w: Writer, program: ClosedJaxpr, args: list[Entries]) -> list[Entries]:
     """Write a program for some input entries and return its outputs; raise UnsupportedPrimitive with its name."""
-    return _walk(w, closed.jaxpr, [number_entries(c) for c in closed.consts], args)
+    return _walk(w, program.jaxpr, [number_entries(c) for c in program.consts], args)
 
 
 def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
@@ -56,14 +46,14 @@ def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
 
     No old value is read after it is overwritten.
     """
-    moved = []
+    assignments = []
     for kind, old, new in into:
         for a, b in zip(old.flat, new.flat, strict=True):
             if a is b or (isinstance(b, Term) and a.text == b.text):
                 continue
             moves = isinstance(b, Term) and b.text[0] != "t"  # what may be written over
-            moved.append((a.text, w.let(kind, b.text).text if moves else written(b)))
-    for place, text in moved:
+            assignments.append((a.text, w.let(kind, b.text).text if moves else as_c(b)))
+    for place, text in assignments:
         w.say(f"{place} = {text};")
 
 
@@ -75,10 +65,10 @@ def _walk(w: Writer, jaxpr: Jaxpr, consts: list[Entries], args: list[Entries]) -
 
     for eqn in jaxpr.eqns:
         try:
-            made = _step(w, eqn, [*map(read, eqn.invars)])
+            outputs = _step(w, eqn, [*map(read, eqn.invars)])
         except (KeyError, AttributeError) as error:  # a parameter, or a type of number, that this file does not read
             raise UnsupportedPrimitive(f"{eqn.primitive.name} in a form that is not read here ({error})") from error
-        env.update(zip(eqn.outvars, made, strict=True))
+        env.update(zip(eqn.outvars, outputs, strict=True))
     return [*map(read, jaxpr.outvars)]
 
 
@@ -124,28 +114,28 @@ def _kinds(vs: Sequence[jaxpr_compat.Atom]) -> list[str]:
 def _state(w: Writer, vs: Sequence[jaxpr_compat.Atom], values: list[Entries], stays: list[bool]) -> list[Entries]:
     """C arrays for a loop's state; entries that the loop does not change need none."""
     out = []
-    for kind, value, fixed in zip(_kinds(vs), values, stays, strict=True):
-        if fixed or not value.size:
+    for kind, value, is_constant in zip(_kinds(vs), values, stays, strict=True):
+        if is_constant or not value.size:
             out.append(value)
             continue
         room = w.room(kind, value.shape)
         for a, b in zip(room.flat, value.flat, strict=True):
-            w.say(f"{a.text} = {written(b)};")
+            w.say(f"{a.text} = {as_c(b)};")
         out.append(room)
     return out
 
 
 def _while(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
-    asked, fixed, values = args[:first], args[first : first + second], args[first + second :]
+    cond_consts, body_consts, values = args[:first], args[first : first + second], args[first + second :]
     inside = body.jaxpr.invars[second:]
     stays = [a is b for a, b in zip(inside, body.jaxpr.outvars, strict=True)]
     state = _state(w, inside, values, stays)
     with w.block("for (;;)"):
-        (goes_on,) = write(w, cond, [*asked, *state])
-        w.say(f"if (!{written(goes_on[()])}) break;")
+        (goes_on,) = write(w, cond, [*cond_consts, *state])
+        w.say(f"if (!{as_c(goes_on[()])}) break;")
         checks = w.checks
-        new = write(w, body, [*fixed, *state])
+        new = write(w, body, [*body_consts, *state])
         if w.checks > checks:
             w.say("if (outside) break;")
         assign(w, [e for e, s in zip(zip(_kinds(inside), state, new, strict=True), stays, strict=True) if not s])
@@ -160,9 +150,9 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
         return [*out[:carry], *(r[None] for r in out[carry:])]
     stays = [a is b for a, b in zip(inside, body.jaxpr.outvars[:carry], strict=True)]
     state = _state(w, inside, args[consts : consts + carry], stays)
-    made = [w.room(kind_of(v.aval.dtype), (length, *v.aval.shape)) for v in body.jaxpr.outvars[carry:]]
+    ys = [w.room(kind_of(v.aval.dtype), (length, *v.aval.shape)) for v in body.jaxpr.outvars[carry:]]
     if not length:
-        return [*state, *made]
+        return [*state, *ys]
     tables = [
         places.as_c_array(w, kind_of(v.aval.dtype), r) if r.size else None
         for v, r in zip(body.jaxpr.invars[consts + carry :], rows, strict=True)
@@ -170,17 +160,17 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     i, n = w.name("i"), w.name("i")
     with w.block(f"for (int64_t {i} = 0; {i} < {length}; {i}++)"):
         w.say(f"const int64_t {n} = {f'{length - 1} - {i}' if how['reverse'] else i};")
-        mine = [_row(n, t, r) for t, r in zip(tables, rows, strict=True)]
-        out = write(w, body, [*args[:consts], *state, *mine])
+        xs = [_row(n, t, r) for t, r in zip(tables, rows, strict=True)]
+        out = write(w, body, [*args[:consts], *state, *xs])
         kinds = _kinds(body.jaxpr.outvars[carry:])
-        left = [
+        y_updates = [
             (kind, array_entries(a.flat[0].store, b.shape, f"{n} * {b.size}"), b)
-            for kind, a, b in zip(kinds, made, out[carry:], strict=True)
+            for kind, a, b in zip(kinds, ys, out[carry:], strict=True)
             if b.size
         ]
-        changed = zip(zip(_kinds(inside), state, out[:carry], strict=True), stays, strict=True)
-        assign(w, [*left, *(each for each, s in changed if not s)])
-    return [*state, *made]
+        carry_updates = zip(zip(_kinds(inside), state, out[:carry], strict=True), stays, strict=True)
+        assign(w, [*y_updates, *(each for each, s in carry_updates if not s)])
+    return [*state, *ys]
 
 
 def _row(n: str, table: Term | None, rows: Entries) -> Entries:
@@ -196,10 +186,10 @@ def _cond(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     programs, which = jaxpr_compat.branches(eqn.params), args[0]
     if is_known(which):
         return write(w, programs[int(np.clip(int(which[()]), 0, len(programs) - 1))], args[1:])
-    made = [w.room(kind_of(v.aval.dtype), v.aval.shape) for v in eqn.outvars]
+    results = [w.room(kind_of(v.aval.dtype), v.aval.shape) for v in eqn.outvars]
     for i, each in enumerate(programs):
         last = i == len(programs) - 1
-        chosen = f"if ({written(which[()])} {'<=' if not i else '=='} {i})"
-        with w.block("else" if last else chosen if not i else f"else {chosen}"):
-            assign(w, [*zip(_kinds(eqn.outvars), made, write(w, each, args[1:]), strict=True)])
-    return made
+        condition = f"if ({as_c(which[()])} {'<=' if not i else '=='} {i})"
+        with w.block("else" if last else condition if not i else f"else {condition}"):
+            assign(w, [*zip(_kinds(eqn.outvars), results, write(w, each, args[1:]), strict=True)])
+    return results

@@ -15,12 +15,12 @@ from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
 def describe_gains(
-    about: About, known: DesignContext, certificate: Certificate, options: Mapping[str, object], gains: PyTree
+    about: About, context: DesignContext, certificate: Certificate, options: Mapping[str, object], gains: PyTree
 ) -> dict[str, object]:
     """Return the gains by their names in C, and the model that the observer assumes, continuous and over one tick."""
-    Phi, Gamma = linear.one_tick(known.model, known.dt)
-    model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
-    named = zip(structs.fields(gains, "gain"), observer_to_c.numbers(gains), strict=True)
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
+    model = {"A": context.model.A, "B": context.model.B, "C": context.model.C, "D": context.model.feedthrough}
+    gain_values = zip(structs.fields(gains, "gain"), observer_to_c.numbers(gains), strict=True)
     return {
         "observer": about.observer,
         "scenario": about.scenario,
@@ -29,25 +29,25 @@ def describe_gains(
         "dt": about.dt,
         "signals": [name for name, _ in about.signals],
         "units": [unit for _, unit in about.signals],
-        "period": [t * about.dt for t in known.period],
-        "delay": [t * about.dt for t in known.delay],
-        "noise_std": list(known.noise_std),
-        "model": model | {"Phi": Phi, "Gamma": Gamma, "discrete": known.model.discrete},
-        "gains": {f.name: value for f, value in named},
+        "period": [t * about.dt for t in context.period],
+        "delay": [t * about.dt for t in context.delay],
+        "noise_std": list(context.noise_std),
+        "model": model | {"Phi": Phi, "Gamma": Gamma, "discrete": context.model.discrete},
+        "gains": {f.name: value for f, value in gain_values},
     }
 
 
-def as_json(found: Mapping[str, object]) -> str:
+def as_json(description: Mapping[str, object]) -> str:
     """Return a description as JSON; numbers that are not finite become strings, because JSON has none."""
-    return json.dumps(_plain(found), indent=2) + "\n"
+    return json.dumps(_plain(description), indent=2) + "\n"
 
 
-def as_mat(found: Mapping[str, object]) -> bytes:
+def as_mat(description: Mapping[str, object]) -> bytes:
     """Return a description as a MAT-file, version 5."""
     from scipy.io import savemat
 
     out = io.BytesIO()
-    content = {name: _to_matlab(value) for name, value in found.items() if value is not None}
+    content = {name: _to_matlab(value) for name, value in description.items() if value is not None}
     savemat(cast(Any, out), content, long_field_names=True)  # scipy's types know no open file
     return out.getvalue()
 

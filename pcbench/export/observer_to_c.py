@@ -27,11 +27,13 @@ class Shapes(NamedTuple):
 
     inputs: int
     outputs: int
-    noted: int
+    snapshot_size: int
     past: int
 
 
-Reading = Literal["not", "once", "in a loop"]
+# of functions by name: the function, its arguments, and what it changes
+FunctionTable = dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]
+PastReads = Literal["not", "once", "in a loop"]
 
 
 class Function(NamedTuple):
@@ -52,7 +54,7 @@ class Source(NamedTuple):
     arrival: list[Field]
     functions: list[Function]
     looks_back: bool  # whether any of them reads past inputs
-    jump_looks_back: Reading  # and how the jump does
+    jump_looks_back: PastReads  # and how the jump does
     estimates: int
 
 
@@ -73,7 +75,7 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
     """Return an observer in C; raise UserError with the function and the primitive if C cannot express it."""
     memory = jax.eval_shape(o.init, gains, xhat0)
     now, arrival, flags = _argument_shapes(shapes)
-    there = {
+    fields = {
         "g": structs.fields(gains, "gain"),
         "m": structs.fields(memory, "value"),
         "now": _make_fields(("t", "tick", "dt", "u", "past"), now),
@@ -81,53 +83,53 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
     }
     vectors = {"xhat0": _make_fields(("xhat0",), [xhat0]), "mask": _make_fields(("mask",), [flags])}
     out = []
-    for name, (f, args, changes) in _observer_functions(o, shapes.noted).items():
+    for name, (f, args, changes) in _observer_functions(o, shapes.snapshot_size).items():
         values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "mask": flags}
-        closed = jax.make_jaxpr(f)(*(values[each] for each in args))
+        program = jax.make_jaxpr(f)(*(values[each] for each in args))
         entries = [
             entry
             for each in args
             for entry in (
-                structs.entries(each, there[each]) if each in there else [array_entries(each, vectors[each][0].shape)]
+                structs.entries(each, fields[each]) if each in fields else [array_entries(each, vectors[each][0].shape)]
             )
         ]
-        into = structs.entries("m", there["m"]) if changes == "m" else None
+        into = structs.entries("m", fields["m"]) if changes == "m" else None
         try:
-            lines = _lines(closed, entries, into, changes, name == "jump")
-        except jaxpr_to_c.UnsupportedPrimitive as hindered:
+            lines = _lines(program, entries, into, changes, name == "jump")
+        except jaxpr_to_c.UnsupportedPrimitive as error:
             if name == "covariance":
                 continue
             raise UserError(
-                f"{label}: {name} needs {hindered}, which cannot be written in C here, expected primitives that can; export "
+                f"{label}: {name} needs {error}, which cannot be written in C here, expected primitives that can; export "
                 "another observer, or write this one by hand from its gains."
             ) from None
         out.append(Function(name, "int" if name == "jump" else "void", _head(label, args, changes), lines))
     estimates = jax.eval_shape(lambda g, m: jnp.asarray(o.estimate(g, m)), gains, memory).shape[0]
     looks = any("now->past[" in line for f in out for line in f.lines)
     return Source(
-        gains=there["g"],
-        memory=there["m"],
-        now=there["now"],
-        arrival=there["a"],
+        gains=fields["g"],
+        memory=fields["m"],
+        now=fields["now"],
+        arrival=fields["a"],
         functions=out,
         looks_back=looks,
-        jump_looks_back=_reading("jump", out),
+        jump_looks_back=_past_reads("jump", out),
         estimates=estimates,
     )
 
 
-def _reading(name: str, functions: list[Function]) -> Reading:
+def _past_reads(name: str, functions: list[Function]) -> PastReads:
     """How a function reads past inputs: in a loop it may read inputs from before the arriving sample."""
     loops: list[int] = []
-    found = False
+    reads = False
     for line in next(f.lines for f in functions if f.name == name):
-        deep = len(line) - len(line.lstrip())
-        loops = [each for each in loops if each < deep]
-        found |= "now->past[" in line
+        indent = len(line) - len(line.lstrip())
+        loops = [each for each in loops if each < indent]
+        reads |= "now->past[" in line
         if loops and "now->past[" in line:
             return "in a loop"
-        loops += [deep] if line.lstrip().startswith("for (") else []
-    return "once" if found else "not"
+        loops += [indent] if line.lstrip().startswith("for (") else []
+    return "once" if reads else "not"
 
 
 def _argument_shapes(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
@@ -153,25 +155,25 @@ def _make_fields(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]
     return [Field(name, kind_of(a.dtype), tuple(a.shape)) for name, a in zip(names, kinds, strict=True)]
 
 
-def _observer_functions(o: Observer, noted: int) -> dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]]:
+def _observer_functions(o: Observer, snapshot_size: int) -> FunctionTable:
     """The functions of the observer in the order of a tick: their results, their arguments, and what they change."""
 
-    def undecided(now: Iterable[Array]) -> Now:
+    def event_now(now: Iterable[Array]) -> Now:
         return present(*now, decided=False)
 
-    out: dict[str, tuple[Callable[..., PyTree], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
-    if noted:
+    out: FunctionTable = {"init": (o.init, ("g", "xhat0"), "m")}
+    if snapshot_size:
         out["snapshot"] = (
-            lambda g, m, now: jnp.asarray(o.snapshot(g, m, undecided(now))),
+            lambda g, m, now: jnp.asarray(o.snapshot(g, m, event_now(now))),
             ("g", "m", "now"),
             "snapshot",
         )
-    if told := o.on_sample:
-        out["sampled"] = (lambda g, m, now, mask: told(g, m, undecided(now), mask), ("g", "m", "now", "mask"), "m")
-    out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), _complete(a)), ("g", "m", "now", "a"), "m")
+    if on_sample := o.on_sample:
+        out["sampled"] = (lambda g, m, now, mask: on_sample(g, m, event_now(now), mask), ("g", "m", "now", "mask"), "m")
+    out["jump"] = (lambda g, m, now, a: o.jump(g, m, event_now(now), _complete(a)), ("g", "m", "now", "a"), "m")
     out["estimate"] = (lambda g, m: jnp.asarray(o.estimate(g, m)), ("g", "m"), "xhat")
-    if spread := o.covariance:
-        out["covariance"] = (lambda g, m, now: jnp.asarray(spread(g, m, undecided(now))), ("g", "m", "now"), "P")
+    if cov := o.covariance:
+        out["covariance"] = (lambda g, m, now: jnp.asarray(cov(g, m, event_now(now))), ("g", "m", "now"), "P")
     out["flow"] = (lambda g, m, now: o.flow(g, m, present(*now, decided=True)), ("g", "m", "now"), "m")
     return out
 
@@ -183,18 +185,18 @@ def _complete(a: Arrival) -> Arrival:
 
 
 def _lines(
-    closed: ClosedJaxpr, entries: list[Entries], into: list[Entries] | None, changes: str, refuses: bool
+    program: ClosedJaxpr, entries: list[Entries], into: list[Entries] | None, changes: str, refuses: bool
 ) -> list[str]:
     """The lines of a function that writes the outputs of a program `into` a struct, or into an array called `changes`.
 
     A function that `refuses` returns 1 and changes nothing if the program exceeds the room, and otherwise returns 0.
     """
     w = Writer()
-    left = jaxpr_to_c.write(w, closed, entries)
-    kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
+    outputs = jaxpr_to_c.write(w, program, entries)
+    kinds = [kind_of(v.aval.dtype) for v in program.jaxpr.outvars]
     if w.checks and refuses:
         w.say("if (outside) return 1;")
-    jaxpr_to_c.assign(w, [*zip(kinds, into or [array_entries(changes, left[0].shape)], left, strict=True)])
+    jaxpr_to_c.assign(w, [*zip(kinds, into or [array_entries(changes, outputs[0].shape)], outputs, strict=True)])
     w.count()
     if refuses:
         w.say("return 0;")
@@ -208,7 +210,7 @@ def _lines(
 def _head(label: str, args: tuple[str, ...], changes: str) -> str:
     """The declaration of a function's arguments in C."""
     const = "" if changes == "m" else "const "
-    said = {
+    texts = {
         "g": f"const {label}_gains *g",
         "m": f"{const}{label}_memory *m",
         "now": f"const {label}_now *now",
@@ -216,8 +218,8 @@ def _head(label: str, args: tuple[str, ...], changes: str) -> str:
         "xhat0": "const real *xhat0",
         "mask": "const bool *mask",
     }
-    made = [said["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
-    return ", ".join([*(said[each] for each in args), *made])
+    output = [texts["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
+    return ", ".join([*(texts[each] for each in args), *output])
 
 
 def numbers(tree: PyTree) -> list[np.ndarray]:

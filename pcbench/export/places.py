@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn
-from pcbench.export.terms import Entries, Entry, Term, Writer, array_entries, kind_of, number_entries, place_of, written
+from pcbench.export.terms import Entries, Entry, Term, Writer, array_entries, as_c, kind_of, number_entries, place_of
 
 FILL = (GatherScatterMode.FILL_OR_DROP,)
 
@@ -35,19 +35,19 @@ def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         return out
     name, first = _copy_operand(w, eqn, operand), _offset(w, operand.shape, starts)
     for i in np.ndindex(update.shape):
-        w.say(f"{array_entries(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
+        w.say(f"{array_entries(name, (1,), first, _flat(operand.shape, i))[0].text} = {as_c(update[i])};")
     return array_entries(name, operand.shape)
 
 
 def _starts(
-    axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batching: Iterable[tuple[int, int]]
+    axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batch_axes: Iterable[tuple[int, int]]
 ) -> list[Entry]:
     """The start of a slice: a row of indices gives it for the axes `places`, and the row's own position for batch axes."""
     starts: list[Entry] = [np.int64(0)] * axes
     for column, axis in enumerate(places):
         starts[axis] = indices[(*row, column)]
-    for own, theirs in batching:
-        starts[own] = np.int64(row[theirs])
+    for operand_axis, index_axis in batch_axes:
+        starts[operand_axis] = np.int64(row[index_axis])
     return starts
 
 
@@ -58,23 +58,23 @@ def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     aval, mode = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "mode")
     out = np.empty(aval.shape, object)
     batch = [i for i in range(len(aval.shape)) if i not in d.offset_dims]
-    windowed = [i for i in range(operand.ndim) if i not in (*d.collapsed_slice_dims, *d.operand_batching_dims)]
+    window_axes = [i for i in range(operand.ndim) if i not in (*d.collapsed_slice_dims, *d.operand_batching_dims)]
     for b in np.ndindex(indices.shape[:-1]):
-        batching = zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True)
-        starts = _starts(operand.ndim, indices, b, d.start_index_map, batching)
+        batch_axes = zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True)
+        starts = _starts(operand.ndim, indices, b, d.start_index_map, batch_axes)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
-        there = _is_inside(w, starts, limits) if mode in FILL else ""
+        condition = _is_inside(w, starts, limits) if mode in FILL else ""
         starts = [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
-        shape = tuple(sizes[i] for i in windowed)
+        shape = tuple(sizes[i] for i in window_axes)
         window = np.zeros((*shape, operand.ndim), int)
         for i in np.ndindex(shape):
-            window[i][windowed] = i
-        found = _read(w, eqn, operand, starts, window)
+            window[i][window_axes] = i
+        values = _read(w, eqn, operand, starts, window)
         at: list[slice | int] = [slice(None)] * len(aval.shape)
         for axis, i in zip(batch, b, strict=True):
             at[axis] = i
-        found = _or_else(w, eqn, found, there) if there else found
-        out[tuple(at)] = found if found.ndim else found[()]
+        values = _or_else(w, eqn, values, condition) if condition else values
+        out[tuple(at)] = values if values.ndim else values[()]
     return out
 
 
@@ -82,34 +82,34 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a copy of an array with slices replaced or added at start indices from rows; those outside are dropped."""
     operand, indices, updates = args
     d, adds = jaxpr_compat.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
-    windowed = [i for i in range(operand.ndim) if i not in (*d.inserted_window_dims, *d.operand_batching_dims)]
+    window_axes = [i for i in range(operand.ndim) if i not in (*d.inserted_window_dims, *d.operand_batching_dims)]
     batch = [i for i in range(updates.ndim) if i not in d.update_window_dims]
     sizes = [1] * operand.ndim
-    for axis, own in zip(windowed, d.update_window_dims, strict=True):
-        sizes[axis] = updates.shape[own]
+    for axis, update_axis in zip(window_axes, d.update_window_dims, strict=True):
+        sizes[axis] = updates.shape[update_axis]
     name = _copy_operand(w, eqn, operand)
     for b in np.ndindex(indices.shape[:-1]):
-        batching = zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True)
-        starts = _starts(operand.ndim, indices, b, d.scatter_dims_to_operand_dims, batching)
+        batch_axes = zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True)
+        starts = _starts(operand.ndim, indices, b, d.scatter_dims_to_operand_dims, batch_axes)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
-        there = _is_inside(w, starts, limits)
+        condition = _is_inside(w, starts, limits)
         first = _offset(w, operand.shape, [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)])
-        for i in np.ndindex(*(sizes[axis] for axis in windowed)):
+        for i in np.ndindex(*(sizes[axis] for axis in window_axes)):
             at, window = [0] * updates.ndim, np.zeros(operand.ndim, int)
             for axis, k in zip(batch, b, strict=True):
                 at[axis] = k
             for axis, k in zip(d.update_window_dims, i, strict=True):
                 at[axis] = k
-            window[windowed] = i
+            window[window_axes] = i
             place = array_entries(name, (1,), first, _flat(operand.shape, tuple(window)))[0].text
-            w.say(f"if ({there}) {place} {'+=' if adds else '='} {written(updates[tuple(at)])};")
+            w.say(f"if ({condition}) {place} {'+=' if adds else '='} {as_c(updates[tuple(at)])};")
     return array_entries(name, operand.shape)
 
 
 def as_c_array(w: Writer, kind: str, values: Entries) -> Term:
     """Return the first entry of a C array with these entries; writes one if there is none."""
-    found: Term = place_of(values) or w.array(kind, values).flat[0]
-    return found
+    first: Term = place_of(values) or w.array(kind, values).flat[0]
+    return first
 
 
 def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window: NDArray[np.int64]) -> Entries:
@@ -131,7 +131,7 @@ def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window
 def _copy_operand(w: Writer, eqn: Eqn, operand: Entries) -> str:
     """The name of a new array with a copy of the operand."""
     name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
-    w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(written, operand.flat)) or '0'}}};")
+    w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(as_c, operand.flat)) or '0'}}};")
     return name
 
 
@@ -146,18 +146,18 @@ def _inside(w: Writer, start: Entry, most: int) -> Entry:
 
 def _is_inside(w: Writer, starts: Sequence[Entry], limits: list[int]) -> str:
     """A condition in C: the indices are in 0 .. limits."""
-    each = [f"{written(s)} >= 0 && {written(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
+    each = [f"{as_c(s)} >= 0 && {as_c(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
     return w.let("bool", " && ".join(each)).text
 
 
-def _or_else(w: Writer, eqn: Eqn, found: Entries, there: str) -> Entries:
+def _or_else(w: Writer, eqn: Eqn, values: Entries, condition: str) -> Entries:
     """The value, or the fill value if the index is outside."""
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
     none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
-    other, out = written(number_entries(none if fill is None else fill)[()]), np.empty(found.shape, object)
-    for i in np.ndindex(found.shape):
-        out[i] = w.let(kind, f"{there} ? {written(found[i])} : {other}")
+    fallback, out = as_c(number_entries(none if fill is None else fill)[()]), np.empty(values.shape, object)
+    for i in np.ndindex(values.shape):
+        out[i] = w.let(kind, f"{condition} ? {as_c(values[i])} : {fallback}")
     return out
 
 
@@ -168,6 +168,6 @@ def _flat(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
 def _offset(w: Writer, shape: tuple[int, ...], starts: Sequence[Entry], base: str = "") -> str:
     """The index in C of the entry at `starts`, relative to a base."""
     strides = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
-    terms = [f"{written(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
+    terms = [f"{as_c(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
     text = " + ".join([*([base] if base else []), *terms])
     return w.let("int64_t", text).text if text else ""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.export.structs import Vector, happening
+from pcbench.export.structs import Vector, events_of
 from pcbench.plants import estimated_of
 from pcbench.playback import stream
 from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
@@ -30,5 +30,5 @@ def prepare_recording(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
     parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last + 1]
-    events = [event for part in parts for event in happening(part.window, tells, part.first)]
+    events = [event for part in parts for event in events_of(part.window, tells, part.first)]
     return p, Vector(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)

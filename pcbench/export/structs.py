@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pcbench.engine import initial_state, lane_array
 from pcbench.engine.common_schedule import prepare
 from pcbench.engine.interpreter import vmap_entrywise
-from pcbench.export.terms import Entries, Term, array_entries, kind_of, number_entries, scalar, written
+from pcbench.export.terms import Entries, Term, array_entries, as_c, kind_of, number_entries, scalar
 from pcbench.planning.padding import Plan
 from pcbench.recordings.windows import Window
 from pcbench.simulation import trajectory
@@ -61,19 +61,19 @@ def _word(key: object) -> str:
     return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
 
 
-def entries(pointer: str, given: Iterable[Field]) -> list[Entries]:
+def entries(pointer: str, struct_fields: Iterable[Field]) -> list[Entries]:
     """Return the entries of a struct's fields, read through a pointer."""
     out = []
-    for f in given:
+    for f in struct_fields:
         text = f"{pointer}->{f.name}"
         out.append(array_entries(text, f.shape) if f.shape else scalar(Term(text)))
     return out
 
 
-def declare_struct(name: str, given: Iterable[Field]) -> list[str]:
+def declare_struct(name: str, struct_fields: Iterable[Field]) -> list[str]:
     """Return the lines that declare a struct; an empty one gets a dummy field, because C has none."""
     lines = ["typedef struct {"]
-    for f in given:
+    for f in struct_fields:
         if f.size:
             shape = "" if len(f.shape) < 2 else f"{list(f.shape)}, row after row"
             about = "; ".join(filter(None, (f.says, shape)))
@@ -84,13 +84,13 @@ def declare_struct(name: str, given: Iterable[Field]) -> list[str]:
     return [*lines, f"}} {name};"]
 
 
-def initialiser(given: Iterable[Field], values: Iterable[np.ndarray]) -> list[str]:
+def initialiser(struct_fields: Iterable[Field], values: Iterable[np.ndarray]) -> list[str]:
     """Return the lines of an initialiser, field by field, eight numbers per line."""
     lines = []
-    for f, value in zip(given, values, strict=True):
+    for f, value in zip(struct_fields, values, strict=True):
         if not f.size:
             continue
-        each = [written(x) for x in number_entries(value).flat]
+        each = [as_c(x) for x in number_entries(value).flat]
         rows = [", ".join(each[i : i + 8]) for i in range(0, len(each), 8)]
         if f.shape:
             lines += [f"    .{f.name} = {{", *(f"        {row}," for row in rows), "    },"]
@@ -135,25 +135,25 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     """
     (name, _), root, index = p.layout.observers[0], np.asarray(root_seed), np.asarray(seed)
     out = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, p.problem, root, index))
-    ask = jax.jit(beginning, static_argnums=(0, 1))
-    xhat0, before = ask(p.layout._replace(width=1), rows, p.problem, root, index[None])
+    start = jax.jit(initial_values, static_argnums=(0, 1))
+    xhat0, before = start(p.layout._replace(width=1), rows, p.problem, root, index[None])
     schedule, n = p.problem.schedule, p.problem.x0.shape[0]
-    early, taken = len(schedule.early), np.flatnonzero(schedule.sense >= 0)
-    ticks = np.concatenate([np.zeros(early, int), taken])
-    numbers = np.concatenate([schedule.early, schedule.sample[taken]])
+    early, sampling_ticks = len(schedule.early), np.flatnonzero(schedule.sense >= 0)
+    ticks = np.concatenate([np.zeros(early, int), sampling_ticks])
+    numbers = np.concatenate([schedule.early, schedule.sample[sampling_ticks]])
     x, measure = out.x[:, :n, None], trajectory.jit_measure_runs()
     y = np.asarray(measure(p.layout, p.problem, root, index[None], x, ticks[None], numbers[None]))[0]
     values = np.zeros((len(y) + 1, y.shape[1]))  # by packet; the last: no packet
-    values[[*range(early), *schedule.sense[taken]]] = y
+    values[[*range(early), *schedule.sense[sampling_ticks]]] = y
     mask = schedule.mask & ~np.isnan(values[schedule.arrive])
-    came = np.flatnonzero(((schedule.arrive >= 0)[..., None] & mask).any((1, 2)))  # ticks at which something arrives
+    arrival_ticks = np.flatnonzero(((schedule.arrive >= 0)[..., None] & mask).any((1, 2)))
     since = np.zeros_like(schedule.ticks_since_arrival)
-    since[came] = np.diff(came, prepend=0)[:, None]
-    sent = np.ones((len(schedule.sense), y.shape[1]), bool)
-    sent[taken] = ~np.isnan(values[schedule.sense[taken]])
+    since[arrival_ticks] = np.diff(arrival_ticks, prepend=0)[:, None]
+    is_sent = np.ones((len(schedule.sense), y.shape[1]), bool)
+    is_sent[sampling_ticks] = ~np.isnan(values[schedule.sense[sampling_ticks]])
     window = Window(
         sense=schedule.snapshot,
-        sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0) & sent,
+        sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0) & is_sent,
         arrive=np.where(mask.any(-1), schedule.arrive, -1),
         taken=schedule.timestamp,
         mask=mask,
@@ -162,13 +162,15 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
         ticks_since_arrival=since,
         event=schedule.event,
     )
-    events = happening(window, p.layout.observers[0][1].on_sample is not None, early=len(schedule.early))
+    events = events_of(window, p.layout.observers[0][1].on_sample is not None, early=len(schedule.early))
     expected = out.estimates[name]
     truth = out.x[:, : expected.shape[1]]
     return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
 
 
-def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
+def initial_values(
+    layout: Layout, rows: int, p: GridPointParams, root_seed: Array, seeds: Array
+) -> tuple[Array, Array]:
     """Return xhat(0) of a run, and the inputs before tick 0, the newest first."""
     _, state = prepare(layout, p, root_seed, seeds)
 
@@ -180,23 +182,23 @@ def beginning(layout: Layout, rows: int, p: GridPointParams, root_seed: Array, s
     return lane_array.to_array(first, 1)[..., 0], lane_array.to_array(past, 1)[..., 0]
 
 
-def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:
+def events_of(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:
     """Return the events of the ticks from `first` on, in the order of a tick: snapshots, samples, arrivals.
 
     `early` packets were taken before tick 0. With `tells`, the observer is notified when a sample is taken.
     """
     q = w.sampled.shape[1]
     none = np.zeros(q, int)
-    nothing = Event(tick=-1, what=SNAPSHOT, packet=-1, value=np.zeros(q), mask=np.zeros(q, bool), age=none, number=none)
-    out = [nothing._replace(packet=i) for i in range(early)]
+    empty = Event(tick=-1, what=SNAPSHOT, packet=-1, value=np.zeros(q), mask=np.zeros(q, bool), age=none, number=none)
+    out = [empty._replace(packet=i) for i in range(early)]
     for row in map(int, np.flatnonzero(w.event)):
         k = first + row
         if w.sense[row] >= 0:
-            out.append(nothing._replace(tick=k, packet=int(w.sense[row])))
+            out.append(empty._replace(tick=k, packet=int(w.sense[row])))
         if tells and w.sampled[row].any():
-            out.append(nothing._replace(tick=k, what=SAMPLED, mask=w.sampled[row]))
+            out.append(empty._replace(tick=k, what=SAMPLED, mask=w.sampled[row]))
         for slot in map(int, np.flatnonzero(w.arrive[row] >= 0)):
-            arrived = Event(
+            arrival = Event(
                 tick=k,
                 what=JUMP,
                 packet=int(w.arrive[row, slot]),
@@ -206,5 +208,5 @@ def happening(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Ev
                 number=w.number[row, slot].astype(int),
                 ticks_since_arrival=int(w.ticks_since_arrival[row, slot]),
             )
-            out.append(arrived)
+            out.append(arrival)
     return out

@@ -34,14 +34,14 @@ class Writer:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.deep = 1
+        self.depth = 1
         self.products = 0
         self.checks = 0  # lines that set `outside`
         self._names = count(1)
 
     def say(self, line: str) -> None:
         """Write one line."""
-        self.lines.append("    " * self.deep + line)
+        self.lines.append("    " * self.depth + line)
 
     def name(self, letter: str) -> str:
         """Return an unused name."""
@@ -56,16 +56,16 @@ class Writer:
 
     def check(self, within: Entries) -> None:
         """Write a test that records an index beyond the room unless all of these conditions are true."""
-        each = {written(x) for x in within.flat} - {"true"}
+        each = {as_c(x) for x in within.flat} - {"true"}
         self.checks += len(each)
         for text in sorted(each):
             self.say(f"outside = outside || !{text};")
 
     def array(self, kind: str, values: Entries) -> Entries:
         """Write an array with these entries, and return its entries."""
-        name, texts = self.name("a"), [written(x) for x in values.flat]
-        fixed = "static const " if not any(isinstance(x, Term) for x in values.flat) else ""
-        self.say(f"{fixed}{kind} {name}[{values.size}] = {{{', '.join(texts)}}};")
+        name, texts = self.name("a"), [as_c(x) for x in values.flat]
+        qualifier = "static const " if not any(isinstance(x, Term) for x in values.flat) else ""
+        self.say(f"{qualifier}{kind} {name}[{values.size}] = {{{', '.join(texts)}}};")
         return array_entries(name, values.shape)
 
     def room(self, kind: str, shape: tuple[int, ...]) -> Entries:
@@ -80,10 +80,10 @@ class Writer:
         """Write the lines inside as a block, whose multiplications are counted separately."""
         self.say(head + " {")
         before, self.products = self.products, 0
-        self.deep += 1
+        self.depth += 1
         yield
         self.count()
-        self.deep -= 1
+        self.depth -= 1
         self.products = before
         self.say("}")
 
@@ -103,10 +103,10 @@ def scalar(x: Entry) -> Entries:
 
 def number_entries(value: ArrayLike) -> Entries:
     """Return the entries of an array of numbers."""
-    given = np.asarray(value)
-    out = np.empty(given.shape, object)
-    for i in np.ndindex(given.shape):
-        out[i] = given[i]
+    array = np.asarray(value)
+    out = np.empty(array.shape, object)
+    for i in np.ndindex(array.shape):
+        out[i] = array[i]
     return out
 
 
@@ -141,7 +141,7 @@ def kind_of(dtype: DTypeLike) -> str:
     return KINDS[str(np.dtype(dtype))]
 
 
-def written(x: Entry) -> str:
+def as_c(x: Entry) -> str:
     """Return an entry as an expression of C."""
     if isinstance(x, Term):
         return x.text

@@ -38,7 +38,7 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def design(setting: DesignContext, options: Options) -> Design:
+def design(context: DesignContext, options: Options) -> Design:
     """Return empty gains: an external estimator has its own."""
     return Design((), no_certificate(ONE_AT_A_TIME))
 
@@ -96,32 +96,32 @@ def maker(reference: str) -> Callable[..., Guest]:
     where = "external estimator"
     code = user_code.code_of(reference, where)
     module, name = user_code.split(reference, where)
-    found = getattr(user_code.module_of(code, where, Path(module).resolve().parent if code.files else None), name, None)
-    if not callable(found):
+    make = getattr(user_code.module_of(code, where, Path(module).resolve().parent if code.files else None), name, None)
+    if not callable(make):
         raise UserError(
             f"{where}: got no function '{name}' in {short(module)}, expected make(cell, xhat0); write it there."
         )
-    return found
+    return make
 
 
 def of_cell(
     make: Callable[..., Guest], cell: dict[str, Any], tables: Mapping[str, pd.DataFrame], where: str
 ) -> Iterator[pd.DataFrame]:
     """Yield the estimates of each run of a grid point."""
-    mine = {
+    cell_tables = {
         name: table[(table.scenario == cell["scenario"]) & (table.cell == cell["cell"])]
         for name, table in tables.items()
     }
-    inputs = mine["inputs"].sort_values("tick").filter(regex=r"^u\d+$").dropna(axis=1).to_numpy(float)
-    samples = dict(iter(mine["samples"].dropna(subset=["arrived_tick"]).groupby("seed")))
+    inputs = cell_tables["inputs"].sort_values("tick").filter(regex=r"^u\d+$").dropna(axis=1).to_numpy(float)
+    samples = dict(iter(cell_tables["samples"].dropna(subset=["arrived_tick"]).groupby("seed")))
     q = len(cell["noise_std"])
-    for row in mine["starts"].sort_values("seed").itertuples():
+    for row in cell_tables["starts"].sort_values("seed").itertuples():
         xhat0 = np.array([getattr(row, f"x{i + 1}") for i in range(len(cell["model"]["A"]))])
-        coming = arrivals(samples.get(row.seed), q)
-        found = of_run(make, cell, xhat0, inputs, coming, f"{where}: seed {row.seed}")
-        names = [signal["name"] for signal in cell["signals"]][: found.shape[1]]
-        keys = {"scenario": cell["scenario"], "cell": cell["cell"], "seed": row.seed, "tick": np.arange(len(found))}
-        yield pd.DataFrame(keys | dict(zip(names, found.T, strict=True)))
+        arrivals_by_tick = arrivals(samples.get(row.seed), q)
+        xhat = of_run(make, cell, xhat0, inputs, arrivals_by_tick, f"{where}: seed {row.seed}")
+        names = [signal["name"] for signal in cell["signals"]][: xhat.shape[1]]
+        keys = {"scenario": cell["scenario"], "cell": cell["cell"], "seed": row.seed, "tick": np.arange(len(xhat))}
+        yield pd.DataFrame(keys | dict(zip(names, xhat.T, strict=True)))
 
 
 def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[ChannelArrival]]:
@@ -130,10 +130,10 @@ def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[ChannelArri
     if samples is None:
         return out
     for _, rows in samples.groupby(["arrived_tick", "sampled_tick"], sort=True):
-        sampled, tick, taken = (rows[name].iloc[0] for name in ("sampled", "arrived_tick", "sampled_tick"))
+        time, tick, sampling_tick = (rows[name].iloc[0] for name in ("sampled", "arrived_tick", "sampled_tick"))
         value = np.full(q, np.nan)
         value[rows.channel.to_numpy() - 1] = rows.value.to_numpy()
-        out.setdefault(int(tick), []).append(ChannelArrival(float(sampled), int(taken), value, ~np.isnan(value)))
+        out.setdefault(int(tick), []).append(ChannelArrival(float(time), int(sampling_tick), value, ~np.isnan(value)))
     return out
 
 
@@ -142,7 +142,7 @@ def of_run(
     cell: dict[str, Any],
     xhat0: Floats,
     inputs: Floats,
-    coming: dict[int, list[ChannelArrival]],
+    arrivals_by_tick: dict[int, list[ChannelArrival]],
     where: str,
 ) -> Floats:
     """Return the estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for an exception or an invalid result."""
@@ -151,7 +151,7 @@ def of_run(
         guest = make(cell, xhat0.copy())
         for k in range(cell["ticks"]):
             u = inputs[k - 1] if k else np.zeros(inputs.shape[1])
-            xhat = np.asarray(guest.step(k * cell["dt"], u.copy(), coming.get(k, [])), float).ravel()
+            xhat = np.asarray(guest.step(k * cell["dt"], u.copy(), arrivals_by_tick.get(k, [])), float).ravel()
             if len(xhat) not in (len(xhat0), most):
                 raise UserError(
                     f"{where}: step returned {len(xhat)} numbers, expected {len(xhat0)}, one for each state; return those."

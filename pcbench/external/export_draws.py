@@ -110,11 +110,11 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
     """
     with config.float64():
         target = storage.target(out)
-        owned = manifest.claim(target, grid)
-        plans = [runs.plan_without_observers(cell) for cell in owned.cells]
+        claim = manifest.claim(target, grid)
+        plans = [runs.plan_without_observers(cell) for cell in claim.cells]
         storage.make(target)
         if storage.text(target, manifest.TEXT) is None:
-            manifest.renew(target, owned)
+            manifest.renew(target, claim)
         seeds = grid.study.first_seed + np.arange(grid.study.seeds)
         progress.begin("runs", len(seeds) * len(plans))
         samples, starts = [], []
@@ -154,13 +154,13 @@ def _keys(p: Plan, many: int, **more: object) -> dict[str, object]:
 
 def _samples(p: Plan, run: runs.Run) -> dict[str, object]:
     dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
-    taken = np.array([s.stamp(p.cell.times.error) for s in run.samples])
+    sampling_ticks = np.array([s.stamp(p.cell.times.error) for s in run.samples])
     arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
-    return _keys(p, len(taken), seed=run.seed) | {
+    return _keys(p, len(sampling_ticks), seed=run.seed) | {
         "channel": [s.channel + 1 for s in run.samples],
         "sample": [s.number for s in run.samples],
-        "sampled_tick": taken,
-        "sampled": taken * dt,
+        "sampled_tick": sampling_ticks,
+        "sampled": sampling_ticks * dt,
         "arrived_tick": arrives,
         "arrived": arrives * dt,
         "value": run.values,
@@ -183,15 +183,15 @@ def _concat_tables(parts: list[dict[str, object]]) -> pa.Table:
 
 def _cell(p: Plan) -> dict[str, object]:
     """Return the design data of a grid point that an external program gets: the same that observers of pcbench use."""
-    known, s = setting(p.cell), p.cell.scenario
-    Phi, Gamma = linear.one_tick(known.model, known.dt)
+    context, s = setting(p.cell), p.cell.scenario
+    Phi, Gamma = linear.one_tick(context.model, context.dt)
     model = {
-        "A": known.model.A,
-        "B": known.model.B,
-        "C": known.model.C,
-        "D": known.model.feedthrough,
-        "E": known.model.E,
-        "discrete": known.model.discrete,
+        "A": context.model.A,
+        "B": context.model.B,
+        "C": context.model.C,
+        "D": context.model.feedthrough,
+        "E": context.model.E,
+        "discrete": context.model.discrete,
         "Phi": Phi,
         "Gamma": Gamma,
     }
@@ -202,18 +202,18 @@ def _cell(p: Plan) -> dict[str, object]:
         "dt": s.dt,
         "ticks": p.cell.times.ticks,
         "signals": [{"name": name, "unit": unit} for name, unit in estimated_of(s)],
-        "period": list(known.period),
-        "intervals": list(known.intervals),
-        "delay": list(known.delay),
-        "latest": known.latest,
-        "noise_std": list(known.noise_std),
-        "send_threshold": list(known.send_threshold),
-        "R": np.asarray(known.noise_covariance).tolist(),
-        "Q": known.process_noise.tolist(),
-        "input_intensity": known.input_intensity,
-        "P0": np.asarray(known.P0).tolist(),
-        "unknown_std": list(known.unknown_std),
-        "unknown0": list(known.unknown0),
-        "unknown_range": [[v if np.isfinite(v) else None for v in limits] for limits in known.unknown_range],
+        "period": list(context.period),
+        "intervals": list(context.intervals),
+        "delay": list(context.delay),
+        "latest": context.latest,
+        "noise_std": list(context.noise_std),
+        "send_threshold": list(context.send_threshold),
+        "R": np.asarray(context.noise_covariance).tolist(),
+        "Q": context.process_noise.tolist(),
+        "input_intensity": context.input_intensity,
+        "P0": np.asarray(context.P0).tolist(),
+        "unknown_std": list(context.unknown_std),
+        "unknown0": list(context.unknown0),
+        "unknown_range": [[v if np.isfinite(v) else None for v in limits] for limits in context.unknown_range],
         "model": {name: None if value is None else np.asarray(value).tolist() for name, value in model.items()},
     }

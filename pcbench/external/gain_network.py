@@ -119,8 +119,9 @@ def estimates(system: System, network: Network, y: Float[Array, "N q"]) -> Float
     """Return the estimates of one run from the measurements at all ticks, of which the sampled ones are used."""
 
     def tick(memory: Memory, k: Array) -> tuple[Memory, Array]:
-        taken = k - system.delay
-        memory = correct(system, network, memory, y[taken], (taken >= 0) & (taken % system.period == 0))
+        sampling_tick = k - system.delay
+        mask = (sampling_tick >= 0) & (sampling_tick % system.period == 0)
+        memory = correct(system, network, memory, y[sampling_tick], mask)
         return memory._replace(x=system.model(memory.x)), memory.x
 
     return jax.lax.scan(tick, begin(system, network), jnp.arange(len(y)))[1]
@@ -151,8 +152,7 @@ def train(system: System, how: Training = TRAINING) -> Network:
         return (optax.apply_updates(network, change), moments), None
 
     keys = jax.random.split(runs, how.steps)
-    (trained, _), _ = jax.jit(partial(jax.lax.scan, step))((network, adam.init(network)), keys)
-    return trained
+    return jax.jit(partial(jax.lax.scan, step))((network, adam.init(network)), keys)[0][0]
 
 
 class LearnedFilter:
@@ -164,11 +164,11 @@ class LearnedFilter:
     def __init__(self, cell: dict[str, Any], xhat0: NDArray[np.float64]) -> None:
         """Train on the grid point, or load the trained network; raise UserError if channels differ in clock or delay."""
         with config.float64():
-            needed = json.dumps(_needed(cell))
-            self.system, self.network = _trained(needed)
+            spec = json.dumps(_training_spec(cell))
+            self.system, self.network = _train_once(spec)
             self.gamma, self.first = np.array(cell["model"]["Gamma"]), True
             self.memory = begin(self.system._replace(x0=xhat0), self.network)
-            self.correct = _compiled(needed)
+            self.correct = _jit_correct(spec)
 
     def step(self, t: float, u: NDArray[np.float64], arrivals: list["ChannelArrival"]) -> NDArray[np.float64]:
         """Return the estimate [n] at t [s]; `u` [m] was held since the previous tick."""
@@ -185,17 +185,17 @@ class LearnedFilter:
 
 
 @lru_cache
-def _trained(needed: str) -> tuple[System, Network]:
-    system = _system(json.loads(needed))
+def _train_once(spec: str) -> tuple[System, Network]:
+    system = _system(json.loads(spec))
     return system, train(system)
 
 
 @lru_cache
-def _compiled(system_of: str) -> Callable[..., Memory]:
-    return jax.jit(partial(correct, _trained(system_of)[0]))
+def _jit_correct(spec: str) -> Callable[..., Memory]:
+    return jax.jit(partial(correct, _train_once(spec)[0]))
 
 
-def _needed(cell: dict[str, Any]) -> dict[str, Any]:
+def _training_spec(cell: dict[str, Any]) -> dict[str, Any]:
     """Return the training data of a grid point; raise UserError if it is not linear with one clock."""
     period, delay = set(cell["period"]), set(cell["delay"])
     where = f"{cell['scenario']}, grid point {cell['cell']}"
@@ -216,13 +216,14 @@ def _needed(cell: dict[str, Any]) -> dict[str, Any]:
     return {name: cell[name] for name in names} | {"period": max(period), "delay": max(delay)}
 
 
-def _system(needed: dict[str, Any]) -> System:
+def _system(spec: dict[str, Any]) -> System:
     """Return the linear system of a grid point around x(0) = 0: its estimation error depends on no input."""
-    Phi, C = (jnp.asarray(needed["model"][name]) for name in ("Phi", "C"))
-    R, Q, P0 = (np.asarray(needed[name]) for name in ("R", "Q", "P0"))
+    Phi, C = (jnp.asarray(spec["model"][name]) for name in ("Phi", "C"))
+    R, Q, P0 = (np.asarray(spec[name]) for name in ("R", "Q", "P0"))
     q, n = C.shape
-    ahead = np.linalg.matrix_power(np.asarray(Phi), needed["period"])
-    size = np.sqrt(np.diag(ahead @ P0 @ ahead.T + needed["period"] * Q))  # std of the states' errors between samples
+    Phi_period = np.linalg.matrix_power(np.asarray(Phi), spec["period"])
+    # std of the states' errors between samples
+    size = np.sqrt(np.diag(Phi_period @ P0 @ Phi_period.T + spec["period"] * Q))
     e = np.sqrt(np.diag(C @ np.diag(size**2) @ C.T + R))
     root = jnp.sqrt(jnp.diag(jnp.asarray(R)))
     return System(
@@ -234,9 +235,9 @@ def _system(needed: dict[str, Any]) -> System:
         process=_root(Q),
         noise=lambda key, ticks: root[None] * jax.random.normal(key, (ticks, q)),
         scale=np.concatenate([e, np.where(size > 0, size, 1.0)]),
-        ticks=min(needed["ticks"], LONGEST),
-        period=needed["period"],
-        delay=needed["delay"],
+        ticks=min(spec["ticks"], LONGEST),
+        period=spec["period"],
+        delay=spec["delay"],
     )
 
 

@@ -57,36 +57,38 @@ def plan_without_observers(cell: Cell) -> Plan:
 def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
     """Yield the runs of a planned grid point; each has the same numbers as in the simulation."""
     for first in range(0, len(seeds), TOGETHER):
-        yield from _some(p, root_seed, seeds[first : first + TOGETHER])
+        yield from _run_batch(p, root_seed, seeds[first : first + TOGETHER])
 
 
-def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
+def _run_batch(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
     end, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
-    nothing = common_times.schedule([], end, q)
-    still, root = p.problem._replace(schedule=nothing), np.asarray(root_seed)
+    empty_schedule = common_times.schedule([], end, q)
+    problem, root = p.problem._replace(schedule=empty_schedule), np.asarray(root_seed)
     layout = p.layout._replace(observers=(), consistency=False)
-    x = np.asarray(trajectory.compiled_some()(layout, 1, end + 1, still, root, seeds).x)
-    first = _starts(layout, still, root, seeds)
-    each = [_samples(p, root_seed, int(seed)) for seed in seeds]
-    times = [{tick: row for row, tick in enumerate(sorted({s.taken for s in mine}))} for mine in each]
+    x = np.asarray(trajectory.compiled_some()(layout, 1, end + 1, problem, root, seeds).x)
+    first = _starts(layout, problem, root, seeds)
+    samples_by_run = [_samples(p, root_seed, int(seed)) for seed in seeds]
+    times = [{tick: row for row, tick in enumerate(sorted({s.taken for s in samples}))} for samples in samples_by_run]
     ticks = np.zeros((len(seeds), max(map(len, times))), int)
     numbers = np.full((*ticks.shape, q), -1)
-    for i, (rows, mine) in enumerate(zip(times, each, strict=True)):
+    for i, (rows, samples) in enumerate(zip(times, samples_by_run, strict=True)):
         ticks[i, : len(rows)] = np.maximum(list(rows), 0)
-        for s in mine:
+        for s in samples:
             numbers[i, rows[s.taken], s.channel] = s.number
     measure = trajectory.jit_measure_runs()
-    y = np.asarray(measure(layout, still, root, np.asarray(seeds), x[:, :n], ticks, numbers))
-    for i, (rows, mine) in enumerate(zip(times, each, strict=True)):
-        values = np.array([y[i, rows[s.taken], s.channel] for s in mine])
-        lost = [s._replace(arrives=common_times.NEVER) if np.isnan(v) else s for s, v in zip(mine, values, strict=True)]
-        yield Run(int(seeds[i]), x[..., i], first[:, i], lost, values)
+    y = np.asarray(measure(layout, problem, root, np.asarray(seeds), x[:, :n], ticks, numbers))
+    for i, (rows, samples) in enumerate(zip(times, samples_by_run, strict=True)):
+        values = np.array([y[i, rows[s.taken], s.channel] for s in samples])
+        outcomes = [
+            s._replace(arrives=common_times.NEVER) if np.isnan(v) else s for s, v in zip(samples, values, strict=True)
+        ]
+        yield Run(int(seeds[i]), x[..., i], first[:, i], outcomes, values)
 
 
 def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: NDArray[np.int64]) -> Floats:
-    ready, width = jax.tree.map(jnp.asarray, problem), len(seeds)
-    found = initial_state.first_estimate(layout._replace(width=width), ready, jnp.asarray(root), jnp.asarray(seeds))
-    return np.asarray(lane_array.to_array(found, width))
+    params, width = jax.tree.map(jnp.asarray, problem), len(seeds)
+    xhat0 = initial_state.first_estimate(layout._replace(width=width), params, jnp.asarray(root), jnp.asarray(seeds))
+    return np.asarray(lane_array.to_array(xhat0, width))
 
 
 def _samples(p: Plan, root_seed: int, seed: int) -> list[common_times.Sample]:

@@ -59,12 +59,12 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         out = f"{place}/estimates.parquet"
         progress.note("running the external estimator, one run at a time")
         words = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
-        done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        process = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
+        if process.returncode:
+            last = (process.stderr.strip().splitlines() or ["no message"])[-1]
             raise UserError(
                 last
-                if done.returncode == 2
+                if process.returncode == 2
                 else f"external estimator {reference}: ended with {last}, expected estimates; correct it."
             )
         return score(folder, out, name, progress, say)
@@ -79,9 +79,9 @@ def score(
     """
     target, where, say = storage.target(folder), short(str(file)), say or (lambda sentence: None)
     with config.float64():
-        grid = grown(target, name)
-        owned = manifest.claim(target, grid)
-        cells = [cell for cell in owned.cells if name in cell.options]
+        grid = extend_study(target, name)
+        claim = manifest.claim(target, grid)
+        cells = [cell for cell in claim.cells if name in cell.options]
         signals = {cell.key: [s for s, _ in estimated_of(cell.scenario)] for cell in cells}
         every = list(dict.fromkeys(s for names in signals.values() for s in names))
         tables = sort_by_cell(read(file), where, every, cells[0].key if len(cells) == 1 else None)
@@ -90,11 +90,10 @@ def score(
         progress.begin("runs", seeds.many * len(cells))
         for cell in cells:
             here = f"{where}: {cell.scenario.name}, cell {cell.number}"
-            mine = tables.get(cell.key)
-            xhat = estimates_of(mine, here, signals[cell.key], np.arange(*seeds), cell.times.ticks)
+            xhat = estimates_of(tables.get(cell.key), here, signals[cell.key], np.arange(*seeds), cell.times.ticks)
             p = runs.plan_without_observers(cell)
             blocks.append((p, _results(p, grid.study.root_seed, seeds, xhat, progress)))
-        manifest.begin(target, owned)
+        manifest.begin(target, claim)
         work = task.Work(target.uri, grid.study.name, grid.study.root_seed)
         for block in block_files.present(target):  # earlier results of this estimator
             if block.observer == name:
@@ -109,45 +108,45 @@ def score(
         return run_study.execute(grid, folder, How(progress=progress, say=say))
 
 
-def grown(target: storage.Target, name: str) -> Grid:
+def extend_study(target: storage.Target, name: str) -> Grid:
     """Return the study of a folder with the external estimator `name`; raise UserError for an invalid name."""
     if not LABEL.fullmatch(name) or base_of(name) or user_code.is_reference(name):
         raise UserError(
             f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
             "observers; write another, such as matlab-ekf."
         )
-    said = storage.text(target, manifest.TEXT)
-    if said is None:
+    text = storage.text(target, manifest.TEXT)
+    if text is None:
         raise UserError(
             f"{target.name}: holds no study, expected a folder that pcbench external prepare has written; name that one."
         )
-    there = manifest.read_text(target, said)
-    raw = {k: v for k, v in there.items() if k != "resolved"}
-    taken = dict(raw.get("custom_observers", {}))
+    content = manifest.read_text(target, text)
+    raw = {k: v for k, v in content.items() if k != "resolved"}
+    custom_observers = dict(raw.get("custom_observers", {}))
     labels = list(
-        raw.get("observers") or dict.fromkeys(o for names in there["resolved"]["observers"].values() for o in names)
+        raw.get("observers") or dict.fromkeys(o for names in content["resolved"]["observers"].values() for o in names)
     )
-    if name in labels and taken.get(name) != REFERENCE:
+    if name in labels and custom_observers.get(name) != REFERENCE:
         raise UserError(f"--name: got '{name}', which the study has as an observer of its own; give another name.")
-    raw["custom_observers"] = taken | {name: REFERENCE}
+    raw["custom_observers"] = custom_observers | {name: REFERENCE}
     raw["observers"] = labels if name in labels else [*labels, name]
-    return parse.grid(raw, f"{target.name}/{manifest.TEXT}", stored_code.gate(target, there, True))
+    return parse.grid(raw, f"{target.name}/{manifest.TEXT}", stored_code.gate(target, content, True))
 
 
 def _seeds(target: storage.Target, grid: Grid) -> Seeds:
     """Return all seeds that the study's other observers have or will have."""
-    named = Seeds(grid.study.first_seed, grid.study.first_seed + grid.study.seeds)
-    return Seeds(named.first, max([named.stop, *(b.seeds.stop for b in block_files.present(target))]))
+    study_seeds = Seeds(grid.study.first_seed, grid.study.first_seed + grid.study.seeds)
+    return Seeds(study_seeds.first, max([study_seeds.stop, *(b.seeds.stop for b in block_files.present(target))]))
 
 
 def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Progress) -> dict[str, Floats]:
     """Return the metrics of all runs of a grid point, [s, runs], computed in parts; `xhat` [runs, N, s]."""
     parts = []
     for first in range(0, len(xhat), runs.TOGETHER):
-        given = xhat[first : first + runs.TOGETHER]
-        numbers = np.arange(*seeds)[first : first + len(given)]
-        parts.append(compute_metrics(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), given))
-        progress.step(len(given))
+        estimates = xhat[first : first + runs.TOGETHER]
+        numbers = np.arange(*seeds)[first : first + len(estimates)]
+        parts.append(compute_metrics(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), estimates))
+        progress.step(len(estimates))
     return {name: np.concatenate([part[name] for part in parts], -1) for name in parts[0]}
 
 
@@ -156,11 +155,11 @@ def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
     n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
     many = xhat.shape[-1]
     e = x[:, :n, :many] - xhat
-    if own := p.layout.plant.errors:
+    if plant_errors := p.layout.plant.errors:
         problem = jax.tree.map(jnp.asarray, p.problem)
 
         def errors(k: Array, x: Array, xhat: Array) -> Array:
-            return own(problem.params, present(problem, k, False), x, xhat)
+            return plant_errors(problem.params, present(problem, k, False), x, xhat)
 
         each_tick = jax.vmap(jax.vmap(errors), (None, 0, 0))
         e = np.concatenate([e, each_tick(jnp.arange(n), jnp.asarray(x[:, :n]), jnp.asarray(xhat))], -1)
@@ -187,8 +186,8 @@ def _settling(size: Floats, p: Plan) -> SettlingState:
     jumps = np.asarray(p.problem.jumps)
     recovery = np.zeros(size.shape[1:])
     if len(jumps):
-        gone = np.where(jumps <= ticks[:, 0], ticks[:, 0] - jumps, np.iinfo(int).max)
-        since, after = gone.min(1), (jumps <= ticks[:, 0]).any(1)
+        ticks_since_jump = np.where(jumps <= ticks[:, 0], ticks[:, 0] - jumps, np.iinfo(int).max)
+        since, after = ticks_since_jump.min(1), (jumps <= ticks[:, 0]).any(1)
         recovery = np.where(outside & after[:, None, None], since[:, None, None] + 1.0, 0.0).max(0)
     return SettlingState(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]
 
@@ -233,8 +232,7 @@ def sort_by_cell(
     for name in [*KEYS[1:], *(s for s in signals if s in table)]:
         if not pd.api.types.is_numeric_dtype(table[name]):
             raise UserError(f"{where}: column {name} got {table[name].dtype}, expected numbers; write them as such.")
-    ordered = table.sort_values(list(KEYS), kind="stable")
-    groups = ordered.groupby(["scenario", "cell"], sort=False)
+    groups = table.sort_values(list(KEYS), kind="stable").groupby(["scenario", "cell"], sort=False)
     return {(str(rows["scenario"].iloc[0]), int(rows["cell"].iloc[0])): rows for _, rows in groups}
 
 
@@ -247,12 +245,12 @@ def estimates_of(
     """
     if rows is None:
         raise UserError(f"{where}: got no rows, expected {len(seeds)} runs of {ticks:,} ticks; estimate them all.")
-    there = rows[rows.tick < ticks]
-    names = [s for s in signals if s in there]
+    rows = rows[rows.tick < ticks]
+    names = [s for s in signals if s in rows]
     if names != signals[: len(names)]:
         lack = next(s for s in signals if s not in names)
         raise UserError(f"{where}: got no column '{lack}', expected every state; write it.")
-    counts = there.groupby("seed").tick.agg(["size", "nunique", "min", "max"]).reindex(seeds)
+    counts = rows.groupby("seed").tick.agg(["size", "nunique", "min", "max"]).reindex(seeds)
     missing = counts.index[counts["size"].isna()]
     if len(missing):
         raise UserError(
@@ -265,6 +263,5 @@ def estimates_of(
             f"{where}: got {int(wrong['size'].iloc[0]):,} ticks of seed {wrong.index[0]}, expected each of 0 .. {ticks - 1:,} "
             "once; leave a row for every tick."
         )
-    mine = there[there.seed.isin(seeds)]
-    found: Floats = mine[names].to_numpy(float).reshape(len(seeds), ticks, len(names))
-    return found
+    xhat: Floats = rows[rows.seed.isin(seeds)][names].to_numpy(float).reshape(len(seeds), ticks, len(names))
+    return xhat
