@@ -32,16 +32,16 @@ def transforms_of(result: Result, scenario: str | None = None, cell: int = 0) ->
     scenario = frames.scenario_of(result, scenario)
     first = result.signals(scenario)[0]
     stats = result.stats_of(scenario, first)
-    known = stats[
+    rows = stats[
         (stats.metric == "nees") & (stats.cell == cell) & (stats.method == "runs") & np.isfinite(stats["mean"])
     ]
-    if known.empty:
+    if rows.empty:
         return {}
     runs = result.runs_of(scenario, ["nees", "nees_dof"], cell)
-    runs = runs[(runs.signal == first) & ~runs.diverged & runs.observer.isin(set(known.observer))]
+    runs = runs[(runs.signal == first) & ~runs.diverged & runs.observer.isin(set(rows.observer))]
     out: dict[str, Floats] = {}
-    for observer, mine in runs.groupby(runs.observer.astype(str), sort=False):
-        nees, dof = mine.nees.to_numpy(float), mine.nees_dof.to_numpy(float)
+    for observer, group in runs.groupby(runs.observer.astype(str), sort=False):
+        nees, dof = group.nees.to_numpy(float), group.nees_dof.to_numpy(float)
         fine = np.isfinite(nees) & (dof > 0)
         if fine.any():
             out[str(observer)] = np.sort(gammainc(dof[fine] / 2, nees[fine] * dof[fine] / 2))
@@ -61,14 +61,14 @@ def calibration(result: Result, *, scenario: str | None = None, cell: int = 0, p
     optimistic filter. Raises UserError unless the study has `consistency = true`, runs and an observer with a covariance.
     """
     scenario = frames.scenario_of(result, scenario)
-    found = transforms_of(result, scenario, cell)
-    if not found:
+    transforms = transforms_of(result, scenario, cell)
+    if not transforms:
         raise UserError(
             f"plots.calibration: got no runs of {scenario} with NEES, expected consistency = true in [options.scenario] and an "
             "observer with a covariance, such as kf; run the study with both."
         )
     stats = frames.rows(result, scenario, None, "mae")
-    many = min(map(len, found.values()))
+    many = min(map(len, transforms.values()))
     under, over = (np.asarray(binom.ppf(share, many, NOMINAL)) / many for share in (LEVEL / 2, 1 - LEVEL / 2))
     low, high = (float(binom.ppf(share, many, 1 / BINS)) * BINS / many for share in (LEVEL / 2, 1 - LEVEL / 2))
     title = f"calibration at the last tick [-]: {about(result, stats, frames.named_values(result, stats, cell))}"
@@ -86,9 +86,9 @@ def calibration(result: Result, *, scenario: str | None = None, cell: int = 0, p
         right.axhspan(low, high, color=GRID, linewidth=0)
         right.axhline(1.0, color=SOFT, linewidth=0.7)
         tops = [high]
-        for observer, line in lines(o for o in stats.observer if o in found).items():
-            left.plot(NOMINAL, coverage(found[observer]), **line)
-            density = np.histogram(found[observer], BINS, (0.0, 1.0))[0] * BINS / len(found[observer])
+        for observer, line in lines(o for o in stats.observer if o in transforms).items():
+            left.plot(NOMINAL, coverage(transforms[observer]), **line)
+            density = np.histogram(transforms[observer], BINS, (0.0, 1.0))[0] * BINS / len(transforms[observer])
             right.stairs(density, np.linspace(0.0, 1.0, BINS + 1), baseline=None, color=line["color"], linewidth=1.1,
                          linestyle=line["linestyle"])  # fmt: skip
             tops.append(float(density.max()))

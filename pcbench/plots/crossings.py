@@ -40,8 +40,8 @@ def crossing(
     at: dict[str, object] | None = None,
 ) -> Crossing | None:
     """Return where `above` begins to be better than `below`, with an interval; None if they do not cross significantly."""
-    whole = frames.rows(result, scenario, signal, metric)
-    part = frames.fix_axes(whole, [axis], at)
+    stats = frames.rows(result, scenario, signal, metric)
+    part = frames.fix_axes(stats, [axis], at)
     cells = part[part.observer == below].sort_values(axis, kind="stable")
     value = cells[axis].to_numpy(float)
     ends = []
@@ -51,8 +51,8 @@ def crossing(
     with np.errstate(divide="ignore", invalid="ignore"):
         mean, low, high = np.log(np.array(ends)).T
         where = np.log(value)
-    found = [_zero(where, line) for line in (mean, high, low)]
-    return None if None in found else Crossing(below, above, *np.exp(np.array(found, float)))
+    points = [_zero(where, line) for line in (mean, high, low)]
+    return None if None in points else Crossing(below, above, *np.exp(np.array(points, float)))
 
 
 def _zero(where: Floats, line: Floats) -> float | None:
@@ -77,8 +77,11 @@ def changes(
     part = frames.fix_axes(frames.rows(result, scenario, signal, metric), [axis], at)
     if (part.method == "exact").any():
         return []
-    ranked = part[part["mean"].notna()].sort_values([axis, "mean"], kind="stable")
-    best = ranked.drop_duplicates(axis).observer.astype(str).to_list()
+    rows = part[part["mean"].notna()].sort_values([axis, "mean"], kind="stable")
+    best = rows.drop_duplicates(axis).observer.astype(str).to_list()
     pairs = dict.fromkeys((a, b) for a, b in pairwise(best) if a != b)
-    found = [crossing(result, axis, *pair, scenario=scenario, signal=signal, metric=metric, at=at) for pair in pairs]
-    return [each for each in found if each]
+    return [
+        c
+        for pair in pairs
+        if (c := crossing(result, axis, *pair, scenario=scenario, signal=signal, metric=metric, at=at))
+    ]

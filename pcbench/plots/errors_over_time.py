@@ -45,31 +45,31 @@ def error_bands(
     """
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
-    whole = one_run.of(result.study, scenario, result.out, cell, seed)
-    if whole is None or not has_bands(whole, signal):
+    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    if run is None or not has_bands(run, signal):
         raise UserError(
             f"plots.error_bands: got no runs of {scenario} with noise on one schedule, expected some; use another scenario."
         )
     seed = result.study.first_seed if seed is None else seed
-    return draw_bands(result, whole, scenario, signal, cell, seed, paper)
+    return draw_bands(result, run, scenario, signal, cell, seed, paper)
 
 
-def has_bands(whole: pd.DataFrame, signal: str) -> bool:
+def has_bands(run: pd.DataFrame, signal: str) -> bool:
     """Return whether a frame of `one_run.of` has the quantiles of |e| of a signal."""
-    return bool(((whole.kind == one_run.MEDIAN) & (whole.signal == signal)).any())
+    return bool(((run.kind == one_run.MEDIAN) & (run.signal == signal)).any())
 
 
 def draw_bands(
-    result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
+    result: Result, run: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
     """Draw the bands of a frame of `one_run.of`."""
-    part, stats = whole[whole.signal == signal], frames.rows(result, scenario, signal, "mae")
-    arrivals = whole.t[whole.kind == "arrival"].to_numpy()
+    part, stats = run[run.signal == signal], frames.rows(result, scenario, signal, "mae")
+    arrivals = run.t[run.kind == "arrival"].to_numpy()
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
     names = frames.titles(result, stats)
     at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
+    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(run, seed)])
     title = f"{with_unit('|error| of ' + signal.replace('_', ' '), unit)}: {title}"
     spread = sizes_in_picture(part[part.series.isin([*look])])
     keys = [
@@ -84,8 +84,8 @@ def draw_bands(
     columns = min(BESIDE, len(look))
     with sheet(paper, title, len(look), columns, height=TALL, keys=keys) as (figure, axes):
         for i, (ax, (observer, line)) in enumerate(zip(axes, look.items(), strict=True)):
-            mine = {str(kind): rows for kind, rows in part[part.series == observer].groupby("kind")}
-            _draw_panel(ax, mine, str(line["color"]), spread, arrivals)
+            kinds = {str(kind): rows for kind, rows in part[part.series == observer].groupby("kind")}
+            _draw_panel(ax, kinds, str(line["color"]), spread, arrivals)
             ax.set(title=observer, xlabel="t [s]" if i + columns >= len(look) else "")
     return figure
 
@@ -101,18 +101,18 @@ def sizes_in_picture(part: pd.DataFrame) -> pd.Series:
     return sizes.value.clip(DEPTH * best, FAR * best)
 
 
-def _draw_panel(ax: Axes, mine: dict[str, pd.DataFrame], colour: str, spread: pd.Series, arrivals: np.ndarray) -> None:
+def _draw_panel(ax: Axes, kinds: dict[str, pd.DataFrame], colour: str, spread: pd.Series, arrivals: np.ndarray) -> None:
     floor = float(spread.min())
-    t = mine[one_run.MEDIAN].t.to_numpy()
+    t = kinds[one_run.MEDIAN].t.to_numpy()
     step = ceil(len(t) / POINTS)
     set_limits(ax, "x", 0.0, float(t.max()))
     set_range(ax, "y", spread, log=True)
-    size, t = {kind: np.maximum(mine[kind].value.to_numpy()[::step], floor) for kind in one_run.SIZES}, t[::step]
+    size, t = {kind: np.maximum(kinds[kind].value.to_numpy()[::step], floor) for kind in one_run.SIZES}, t[::step]
     for low, high, alpha in (("abs_p05", "abs_p95", 0.2), ("abs_p25", "abs_p75", 0.35)):
         ax.fill_between(t, size[low], size[high], color=colour, alpha=alpha, linewidth=0)
     ax.plot(t, size[one_run.MEDIAN], color=colour, linewidth=1.4)
-    if "sigma" in mine:
-        sigma = mine["sigma"].iloc[::step]
+    if "sigma" in kinds:
+        sigma = kinds["sigma"].iloc[::step]
         ax.plot(sigma.t, np.maximum(sigma.value, floor), color=INK, linestyle=DASHED, linewidth=0.9)
     ticks = np.tile([0.0, 0.06, np.nan], len(arrivals))  # as one line, of which a page is smaller
     ax.plot(np.repeat(arrivals, 3), ticks, transform=ax.get_xaxis_transform(), color=SOFT, linewidth=0.6)

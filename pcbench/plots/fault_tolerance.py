@@ -17,30 +17,30 @@ BESIDE = 2  # panels
 
 def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
     """Return axis, value, observer, part: the mean of a metric divided by that of model-only, for numeric axes."""
-    whole = frames.rows(result, scenario, signal, metric)
-    alone = whole[whole.observer == ALONE].set_index("cell")["mean"]
-    at, out = frames.values_at(whole, int(whole.cell.min())), []
-    for axis in frames.varying(whole):
-        part = frames.fix_axes(whole, [axis], {a: v for a, v in at.items() if a != axis})
+    stats = frames.rows(result, scenario, signal, metric)
+    alone = stats[stats.observer == ALONE].set_index("cell")["mean"]
+    at, out = frames.values_at(stats, int(stats.cell.min())), []
+    for axis in frames.varying(stats):
+        part = frames.fix_axes(stats, [axis], {a: v for a, v in at.items() if a != axis})
         if any(isinstance(value, str) for value in part[axis]):
             continue
-        found = part[part.observer != ALONE]
-        ratio = found["mean"].to_numpy() / alone.loc[found.cell].to_numpy()
-        out.append(pd.DataFrame({"axis": axis, "value": found[axis], "observer": found.observer, "part": ratio}))
+        rows = part[part.observer != ALONE]
+        ratio = rows["mean"].to_numpy() / alone.loc[rows.cell].to_numpy()
+        out.append(pd.DataFrame({"axis": axis, "value": rows[axis], "observer": rows.observer, "part": ratio}))
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame(columns=["axis", "value", "observer", "part"])
 
 
-def borne(parts: pd.DataFrame) -> pd.DataFrame:
+def tolerances(parts: pd.DataFrame) -> pd.DataFrame:
     """Return axis, observer, most: the value up to which an observer is better than model-only, from the first value on.
 
     It is interpolated linearly between two values. It is infinite, with the sign of the values, if the observer is better at
     all values, and NaN if it is worse at the first one. A mean that is not finite (diverged runs) counts as worse.
     """
     out = []
-    for (axis, observer), mine in parts.groupby(["axis", "observer"], sort=False):
-        usual = mine.value.iloc[0]
+    for (axis, observer), group in parts.groupby(["axis", "observer"], sort=False):
+        usual = group.value.iloc[0]
         for sign in (1, -1):
-            side = mine[sign * (mine.value - usual) >= 0].sort_values("value", ascending=sign > 0, kind="stable")
+            side = group[sign * (group.value - usual) >= 0].sort_values("value", ascending=sign > 0, kind="stable")
             if len(side) > 1:
                 out.append((axis, observer, _crossing(side.value.to_numpy(float), side.part.to_numpy(float), sign)))
     return pd.DataFrame(out, columns=["axis", "observer", "most"])
@@ -70,26 +70,26 @@ def bearing(
 
     Raises UserError unless the study has `vary = "one-at-a-time"` and the observer `model-only`.
     """
-    whole = frames.rows(result, scenario, signal, metric)
-    if result.study.vary != "one-at-a-time" or ALONE not in set(whole.observer):
+    stats = frames.rows(result, scenario, signal, metric)
+    if result.study.vary != "one-at-a-time" or ALONE not in set(stats.observer):
         raise UserError(
             f'bearing of {result.study.name}: got vary = "{result.study.vary}" and observers '
-            f'{", ".join(dict.fromkeys(whole.observer))}, expected vary = "one-at-a-time" and {ALONE} among them.'
+            f'{", ".join(dict.fromkeys(stats.observer))}, expected vary = "one-at-a-time" and {ALONE} among them.'
         )
-    parts = part_of_alone(result, whole.scenario.iloc[0], whole.signal.iloc[0], metric)
+    parts = part_of_alone(result, stats.scenario.iloc[0], stats.signal.iloc[0], metric)
     look = styles(parts.observer)
     axes = list(dict.fromkeys(parts.axis))
     columns = min(BESIDE, len(axes))
-    words = f"{describe_metric(metric, whole.signal.iloc[0])} divided by that of {ALONE} [-]"
-    with sheet(paper, f"{words}: {about(result, whole, {})}", len(axes), columns, height=1.1) as (figure, drawn):
-        for ax, name in zip(drawn, axes, strict=True):
-            mine = parts[parts.axis == name].sort_values("value")
-            place = set_values(ax, "x", list(dict.fromkeys(mine.value)), frames.INFINITE.get(name, "∞"))
+    words = f"{describe_metric(metric, stats.signal.iloc[0])} divided by that of {ALONE} [-]"
+    with sheet(paper, f"{words}: {about(result, stats, {})}", len(axes), columns, height=1.1) as (figure, panels):
+        for ax, name in zip(panels, axes, strict=True):
+            rows = parts[parts.axis == name].sort_values("value")
+            place = set_values(ax, "x", list(dict.fromkeys(rows.value)), frames.INFINITE.get(name, "∞"))
             set_range(ax, "y", [*parts.part, 1.0], is_positive(parts.part))
-            ax.set_xlabel(frames.label(name, frames.titles(result, whole)))
+            ax.set_xlabel(frames.label(name, frames.titles(result, stats)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for observer, style in look.items():
-                line = mine[mine.observer == observer]
+                line = rows[rows.observer == observer]
                 ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
                         linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
     return figure

@@ -43,11 +43,11 @@ def scenario_of(result: Result, scenario: str | None) -> str:
 
 def signals_by_default(result: Result, scenario: str, metric: str = "") -> list[str]:
     """Return the signals that pictures of a metric show by default: the first, of a metric with one number per run."""
-    there = result.signals(scenario)
+    names = result.signals(scenario)
     if metric in OF_RUN:
-        return there[:1]
-    chosen = [s for s in scenarios_of(result.study)[scenario].scoring.headline if s in there]
-    return chosen or there[:1]
+        return names[:1]
+    headline = [s for s in scenarios_of(result.study)[scenario].scoring.headline if s in names]
+    return headline or names[:1]
 
 
 def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str = "") -> list[str]:
@@ -88,8 +88,8 @@ def rows(result: Result, scenario: str | None, signal: str | None, metric: str) 
     stats = result.stats_of(scenario, signal_of(result, scenario, signal, metric))
     part = stats[stats.metric == metric].copy()
     if not len(part):
-        known = set(result.stats.metric) if metric not in set(result.stats.metric) else set(stats.metric)
-        raise unknown(f"study {result.study.name}", "metric", metric, sorted(known))
+        metrics = set(result.stats.metric) if metric not in set(result.stats.metric) else set(stats.metric)
+        raise unknown(f"study {result.study.name}", "metric", metric, sorted(metrics))
     part = simplify_axes(result, part)
     for name in ("mean", "ci_low", "ci_high", "p50"):
         part[name] = np.where(np.abs(part[name]) < ROUNDING, 0.0, part[name])
@@ -103,8 +103,8 @@ def simplify_axes(result: Result, part: pd.DataFrame) -> pd.DataFrame:
     title names them. Otherwise the value is a word that names each channel that changes: "y1: 20, y2: 40".
     """
     cells = _cells(result, part)
-    split = {name: _split(result, cells, name)[0] for name in axes_of(dict.fromkeys(part.columns))}
-    by_cell = {name: dict(zip(cells.cell, values, strict=True)) for name, values in split.items()}
+    values_by_axis = {name: _split(result, cells, name)[0] for name in axes_of(dict.fromkeys(part.columns))}
+    by_cell = {name: dict(zip(cells.cell, values, strict=True)) for name, values in values_by_axis.items()}
     return part.assign(**{name: [values[cell] for cell in part.cell] for name, values in by_cell.items()})
 
 
@@ -120,23 +120,23 @@ def _split(result: Result, cells: pd.DataFrame, axis: str) -> tuple[list[Any], l
     if not many:
         return column, []
     each = [value if isinstance(value, list) else [value] * many for value in column]
-    changing = [i for i, values in enumerate(zip(*each, strict=True)) if len(set(values)) > 1]
-    shown = [[value[i] for i in changing] for value in each]
-    if changing and all(len(set(values)) == 1 for values in shown):
-        return [values[0] for values in shown], changing if len(changing) < many else []
+    channels = [i for i, values in enumerate(zip(*each, strict=True)) if len(set(values)) > 1]
+    channel_values = [[value[i] for i in channels] for value in each]
+    if channels and all(len(set(values)) == 1 for values in channel_values):
+        return [values[0] for values in channel_values], channels if len(channels) < many else []
     names = _channel_names(result, cells, axis)
-    used = changing or range(many)
-    return [name_values([names[i] for i in used], [layout.word(value[i]) for i in used]) for value in each], []
+    subset = channels or range(many)
+    return [name_values([names[i] for i in subset], [layout.word(value[i]) for i in subset]) for value in each], []
 
 
 def name_values(names: Sequence[str], values: Sequence[str]) -> str:
     """Return the values of channels with their names, successive equal ones as one: "y1 to y3: 0, y4: 7"."""
     ends = [i for i in range(1, len(values)) if values[i] != values[i - 1]]
     parts = pairwise([0, *ends, len(values)])
-    return ", ".join(f"{_joined(names[a:b])}: {values[a]}" for a, b in parts)
+    return ", ".join(f"{_join_names(names[a:b])}: {values[a]}" for a, b in parts)
 
 
-def _joined(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     """Return the names of successive channels: "y4 to y6"."""
     return f"{names[0]} to {names[-1]}" if len(names) > 2 else " and ".join(names)
 
@@ -183,11 +183,11 @@ def titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
     each["process_std"] = [u for _, u in states_of(scenario)]
     out = {}
     for axis in axes_of(dict.fromkeys(cells.columns)):
-        channels, found = _split(result, cells, axis)[1], each.get(axis, [])
-        found = [found[i] for i in channels] if found and channels else found
-        unit = ", ".join(dict.fromkeys(found)) if found and all(found) else AXIS_UNITS.get(axis, "")
+        channels, units = _split(result, cells, axis)[1], each.get(axis, [])
+        units = [units[i] for i in channels] if units and channels else units
+        unit = ", ".join(dict.fromkeys(units)) if units and all(units) else AXIS_UNITS.get(axis, "")
         names = _channel_names(result, cells, axis)
-        out[axis] = AxisTitle(unit, _joined([names[i] for i in channels]) if channels else "")
+        out[axis] = AxisTitle(unit, _join_names([names[i] for i in channels]) if channels else "")
     return out
 
 
@@ -237,12 +237,12 @@ def distribution(
     signal, runs = signal_of(result, scenario, signal, metric), result.runs_of(scenario, [metric], cell)
     part, out = runs[runs.signal == signal], []
     for observer, values in part[metric].where(~part.diverged).groupby(part.observer, sort=False):
-        ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
-        if len(ordered):
-            indices = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
+        finite = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
+        if len(finite):
+            indices = np.unique(np.linspace(0, len(finite) - 1, min(POINTS, len(finite))).round().astype(int))
             share = (indices + 1) / len(values)
-            ordered = np.where(ordered < ROUNDING, 0.0, ordered)
-            out.append(pd.DataFrame({"observer": observer, "value": ordered[indices], "share": share}))
+            finite = np.where(finite < ROUNDING, 0.0, finite)
+            out.append(pd.DataFrame({"observer": observer, "value": finite[indices], "share": share}))
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame({"observer": [], "value": [], "share": []})
 
 
@@ -258,11 +258,11 @@ def convergence(
     runs, out = runs[(runs.signal == signal) & ~runs.diverged], []
     estimate = statistics.mean if metric in SIGNED else statistics.size
     for observer, values in runs.groupby("observer", sort=False)[metric]:
-        found = values.to_numpy(float)
-        found = found[np.isfinite(found)]
-        doubled = [FIRST * 2**i for i in range(40) if FIRST * 2**i < len(found)]
-        for many in [*doubled, *([len(found)] if len(found) >= FIRST else [])]:
-            e = estimate(found[:many])
+        finite = values.to_numpy(float)
+        finite = finite[np.isfinite(finite)]
+        counts = [FIRST * 2**i for i in range(40) if FIRST * 2**i < len(finite)]
+        for many in [*counts, *([len(finite)] if len(finite) >= FIRST else [])]:
+            e = estimate(finite[:many])
             if abs(e["mean"]) > ROUNDING and e["se"] > ALIKE * abs(e["mean"]):
                 out.append((observer, many, (e["ci_high"] - e["ci_low"]) / 2 / abs(e["mean"])))
     return pd.DataFrame(out, columns=["observer", "seeds", "half"])
@@ -278,39 +278,39 @@ def standings(
     see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
-    key, kept = (scenario, signal_of(result, scenario, signal, metric), metric), _STANDINGS.setdefault(result, {})
-    if key not in kept:
+    key, cache = (scenario, signal_of(result, scenario, signal, metric), metric), _STANDINGS.setdefault(result, {})
+    if key not in cache:
         part, pairs, out = rows(result, *key), result.pairs_of(*key[:2]), []
-        axes, met = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
-        for cell, mine in ranking.by_cell(part).items():
-            found = ranking.stood(mine, met.get(cell, []))
-            first = next(row for row in mine if row["observer"] == found.order[0])
-            best = found.order[0] if np.isfinite(first["mean"]) else ""
+        axes, comparisons = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
+        for cell, group in ranking.by_cell(part).items():
+            rank = ranking.stood(group, comparisons.get(cell, []))
+            first = next(row for row in group if row["observer"] == rank.order[0])
+            best = rank.order[0] if np.isfinite(first["mean"]) else ""
             out.append(
                 {name: first[name] for name in axes}
-                | {"cell": cell, "winner": found.winner, "best": best, "alike": found.alike, "leaders": found.leaders}
-                | {"p": found.p_value, "factor": found.factor, "mean": first["mean"]}
-                | {"text": found.winner or ("tie" if best else "all diverge" if first["diverged"] else "no value")}
+                | {"cell": cell, "winner": rank.winner, "best": best, "alike": rank.alike, "leaders": rank.leaders}
+                | {"p": rank.p_value, "factor": rank.factor, "mean": first["mean"]}
+                | {"text": rank.winner or ("tie" if best else "all diverge" if first["diverged"] else "no value")}
             )
-        kept[key] = pd.DataFrame(out)
-    return kept[key].copy()
+        cache[key] = pd.DataFrame(out)
+    return cache[key].copy()
 
 
 _STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] = WeakKeyDictionary()  # asked for again
 
 
-def telling(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
-    """Return the number of the cell that tells most: where a significant winner is farthest ahead of the second.
+def key_cell(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
+    """Return the number of the most informative cell: where a significant winner is farthest ahead of the second.
 
     Where nobody significantly wins anywhere, as among those that are one filter to rounding: where the most are significantly
     worse than the best. Where none is compared, as of one observer: where the error is largest. The first of several.
     """
-    found = standings(result, scenario, signal, metric)
-    if found.factor.isna().all() and not found.alike.map(len).any():
-        return int(found.cell.iloc[int(np.argmax(np.nan_to_num(found["mean"], nan=-np.inf)))])
-    ahead = np.where(found.winner != "", np.nan_to_num(found.factor, nan=1.0, posinf=1.0), 1.0)
-    tells = ahead if (found.winner != "").any() else -found.alike.map(len)
-    return int(found.cell.iloc[int(np.argmax(tells))])
+    table = standings(result, scenario, signal, metric)
+    if table.factor.isna().all() and not table.alike.map(len).any():
+        return int(table.cell.iloc[int(np.argmax(np.nan_to_num(table["mean"], nan=-np.inf)))])
+    lead = np.where(table.winner != "", np.nan_to_num(table.factor, nan=1.0, posinf=1.0), 1.0)
+    tells = lead if (table.winner != "").any() else -table.alike.map(len)
+    return int(table.cell.iloc[int(np.argmax(tells))])
 
 
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
@@ -322,8 +322,8 @@ def map_axes(part: pd.DataFrame) -> tuple[str, str]:
 
 def runs_of(part: pd.DataFrame) -> int:
     """Return how many runs a grid point has, at most; 0: its numbers are exact."""
-    lost = part.diverged.where(~part.metric.isin(COUNTS), 0)  # a rate of diverged runs counts them itself
-    return int((part.n + lost).max())
+    diverged = part.diverged.where(~part.metric.isin(COUNTS), 0)  # a rate of diverged runs counts them itself
+    return int((part.n + diverged).max())
 
 
 def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:

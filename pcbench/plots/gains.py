@@ -36,15 +36,15 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
         place = set_values(ax, "x", list(look))
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
         ax.set(title=title_of(first.metric, first.signal, first.unit), xlabel="observer")
-        for tuning, mine in table.groupby("tuning", sort=False):
+        for tuning, group in table.groupby("tuning", sort=False):
             word, mark, aside = TUNINGS[str(tuning)]
-            x = [place(o) + aside for o in mine.observer]
-            colours = [look[o].colour for o in mine.observer]
-            ax.vlines(x, mine.low, mine.high, colors=colours, linewidth=1.3)
+            x = [place(o) + aside for o in group.observer]
+            colours = [look[o].colour for o in group.observer]
+            ax.vlines(x, group.low, group.high, colors=colours, linewidth=1.3)
             ax.scatter(
-                x, mine.training, facecolors="none", edgecolors=colours, marker=mark, s=62, linewidths=0.8, zorder=2
+                x, group.training, facecolors="none", edgecolors=colours, marker=mark, s=62, linewidths=0.8, zorder=2
             )
-            ax.scatter(x, mine.held_out, c=colours, marker=mark, s=20, zorder=3)
+            ax.scatter(x, group.held_out, c=colours, marker=mark, s=20, zorder=3)
             ax.scatter([], [], c=SOFT, marker=mark, s=20, label=word)
     return figure
 

@@ -46,11 +46,11 @@ def with_unit(text: str, unit: str) -> str:
 def describe_metric(metric: str, signal: str) -> str:
     """Return a metric of a signal in words."""
     late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
-    pooled = ", pooled over runs" if "pooled" in metric else ""
+    suffix = ", pooled over runs" if "pooled" in metric else ""
     words = WORDS.get(plain, plain.replace("_", " "))
     if metric in OF_RUN:
         return words
-    return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if late else "") + pooled
+    return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if late else "") + suffix
 
 
 def unit_of(part: pd.DataFrame) -> str:
@@ -126,23 +126,23 @@ def inline(figure: Figure, name: str) -> str:
     text = render_figure(figure, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.S)
-    text = POLYLINE.sub(lambda found: f' d="{_compact(found[1])}"', text)
+    text = POLYLINE.sub(lambda match: f' d="{_compact(match[1])}"', text)
     text = TAG.sub(lambda tag: PRECISE.sub(r"\1", tag.group()), text)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="1.1"', "", text, count=3).replace("xlink:href", "href")
     text = _with_short_ids(text, name).replace("\n<g>\n</g>", "")
     while (flat := WRAPPED.sub(r"\1", text)) != text:
         text = flat
     text = re.sub(r' transform="rotate\(-0 [^"]*"', "", text)
-    text = re.sub(r' style="[^"]*"', lambda found: found[0].replace(": ", ":").replace("; ", ";"), text)
+    text = re.sub(r' style="[^"]*"', lambda match: match[0].replace(": ", ":").replace("; ", ";"), text)
     return re.sub(r"\n\s*", "\n", text)
 
 
 def _with_short_ids(text: str, name: str) -> str:
     """Return a figure whose identifiers are few letters that no figure of another `name` has; those never used are left out."""
     first = f"f{zlib.crc32(name.encode()):x}-"
-    short = {found: f"{first}{i}" for i, found in enumerate(dict.fromkeys(USED.findall(text)))}
-    text = re.sub(r' id="([^"]*)"', lambda found: f' id="{short[found[1]]}"' if found[1] in short else "", text)
-    return USED.sub(lambda found: found[0].replace(found[1], short[found[1]]), text)
+    short = {match: f"{first}{i}" for i, match in enumerate(dict.fromkeys(USED.findall(text)))}
+    text = re.sub(r' id="([^"]*)"', lambda match: f' id="{short[match[1]]}"' if match[1] in short else "", text)
+    return USED.sub(lambda match: match[0].replace(match[1], short[match[1]]), text)
 
 
 def _compact(path: str) -> str:

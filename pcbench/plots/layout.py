@@ -67,7 +67,7 @@ class Paper(NamedTuple):
         """Return the height of a letter in inches."""
         return self.size / 72
 
-    def fitted(self, width: float) -> float:
+    def fit_width(self, width: float) -> float:
         """Return the width of a figure that needs so many inches: where the text's is known, one column or all of it."""
         if self.text is None:
             return width
@@ -142,7 +142,7 @@ def sheet(
         for ax in grid.flat[panels:]:
             ax.remove()
         yield figure, list(grid.flat[:panels])
-        _lay_out(figure, grid, title, height, paper.fitted(width or paper.width), keys, paper)
+        _lay_out(figure, grid, title, height, paper.fit_width(width or paper.width), keys, paper)
 
 
 def _lay_out(
@@ -212,20 +212,20 @@ def _thin_out(ax: Axes, side: str) -> None:
         return
     ends = [(getattr(box, f"{side}0"), getattr(box, f"{side}1")) for box in boxes]
     gap = (0.3 if side == "x" else 0.0) * float(axis.label.get_fontsize()) * ax.figure.dpi / 72
-    kept = [0]
+    visible = [0]
     for i in range(1, len(ends)):
-        if _apart(ends[kept[-1]], ends[i], gap):
-            kept.append(i)
+        if _has_gap(ends[visible[-1]], ends[i], gap):
+            visible.append(i)
     steps = np.abs(np.diff([sum(each) / 2 for each in ends]))
     if steps.max() < EVEN * steps.min():
         every = (list(range(0, len(ends), n)) for n in range(1, len(ends) + 1))
-        kept = next(each for each in every if all(_apart(ends[i], ends[j], gap) for i, j in pairwise(each)))
-    if len(kept) < len(ends):
-        labels = [t.label1.get_text() if i in kept else "" for i, t in enumerate(ticks)]
+        visible = next(each for each in every if all(_has_gap(ends[i], ends[j], gap) for i, j in pairwise(each)))
+    if len(visible) < len(ends):
+        labels = [t.label1.get_text() if i in visible else "" for i, t in enumerate(ticks)]
         axis.set_ticks([t.get_loc() for t in ticks], labels)
 
 
-def _apart(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool:
+def _has_gap(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool:
     """Return whether two intervals are more than a gap apart."""
     return a[1] + gap < b[0] or b[1] + gap < a[0]
 

@@ -52,16 +52,16 @@ def distributions(
     unknown name.
     """
     part = frames.distribution(result, scenario, signal, metric, cell)
-    named = frames.rows(result, scenario, signal, metric)
-    with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
+    stats = frames.rows(result, scenario, signal, metric)
+    with sheet(paper, about(result, stats, frames.named_values(result, stats, cell))) as (figure, (ax,)):
         set_range(ax, "x", part.value, is_positive(part.value))
         set_limits(ax, "y", 0.0, 1.0)
         ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
-        ax.set(title="share of runs", xlabel=title_of(metric, named.signal.iloc[0], unit_of(named)))
-        for observer, line in lines(named.observer).items():
-            mine = part[part.observer == observer]
-            first = mine.value.head(1)
-            ax.step([*first, *mine.value], [*(0.0 for _ in first), *mine.share], where="post", **line)
+        ax.set(title="share of runs", xlabel=title_of(metric, stats.signal.iloc[0], unit_of(stats)))
+        for observer, line in lines(stats.observer).items():
+            rows = part[part.observer == observer]
+            first = rows.value.head(1)
+            ax.step([*first, *rows.value], [*(0.0 for _ in first), *rows.share], where="post", **line)
     return figure
 
 
@@ -81,42 +81,42 @@ def curves(
     drawn side by side if it is a word. Along `processor_speed`, dotted lines show where the best observer changes
     significantly, with 95 % intervals (`crossings`). Raises UserError if no axis varies, or for an unknown name.
     """
-    named: TomlTable = {"scenario": scenario, "signal": signal, "metric": metric, "at": at}
-    whole = frames.rows(result, scenario, signal, metric)
-    axis = axis or next(iter(frames.varying(whole)), None)
-    if axis is None or axis not in frames.varying(whole):
+    selection: TomlTable = {"scenario": scenario, "signal": signal, "metric": metric, "at": at}
+    stats = frames.rows(result, scenario, signal, metric)
+    axis = axis or next(iter(frames.varying(stats)), None)
+    if axis is None or axis not in frames.varying(stats):
         raise UserError(
-            f"curves of {whole.scenario.iloc[0]}: got axis {axis!r}, expected one that varies "
-            f"({', '.join(frames.varying(whole)) or 'none does'}); give the study an axis with more than one value."
+            f"curves of {stats.scenario.iloc[0]}: got axis {axis!r}, expected one that varies "
+            f"({', '.join(frames.varying(stats)) or 'none does'}); give the study an axis with more than one value."
         )
-    part = frames.fix_axes(whole, [axis], at)
+    part = frames.fix_axes(stats, [axis], at)
     every = list(dict.fromkeys(part[axis]))
-    others = frames.named_values(result, whole, int(part.cell.iloc[0]))
-    others = {a: value for a, value in others.items() if a != axis}
+    title_values = frames.named_values(result, stats, int(part.cell.iloc[0]))
+    title_values = {a: value for a, value in title_values.items() if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
-    with sheet(paper, about(result, whole, others)) as (figure, (ax,)):
+    with sheet(paper, about(result, stats, title_values)) as (figure, (ax,)):
         place = set_values(ax, "x", every, frames.INFINITE.get(axis, "∞"))
         set_range(ax, "y", [*ends.ravel(), *[1.0] * (metric in BANDS)], is_positive(ends))
         numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
-        ax.set_title(title_of(metric, whole.signal.iloc[0], unit_of(whole)))
-        ax.set_xlabel(frames.label(axis, frames.titles(result, whole)))
-        look = styles(whole.observer)
+        ax.set_title(title_of(metric, stats.signal.iloc[0], unit_of(stats)))
+        ax.set_xlabel(frames.label(axis, frames.titles(result, stats)))
+        look = styles(stats.observer)
         for i, (observer, style) in enumerate(look.items()):
-            mine = part[part.observer == observer]
-            where = np.array([place(value) for value in mine[axis]])
-            mine, where = mine.iloc[np.argsort(where)], np.sort(where)
+            rows = part[part.observer == observer]
+            where = np.array([place(value) for value in rows[axis]])
+            rows, where = rows.iloc[np.argsort(where)], np.sort(where)
             by = 0.0 if numeric else APART * (i - (len(look) - 1) / 2)
             beside = offset_copy(ax.transData, figure, by, units="points")
-            ax.vlines(where, mine.ci_low, mine.ci_high, color=style.colour, linewidth=1.3, transform=beside)
+            ax.vlines(where, rows.ci_low, rows.ci_high, color=style.colour, linewidth=1.3, transform=beside)
             faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
             look_of: TomlTable = {"marker": style.marker, "markersize": 4, "mfc": style.colour, "mec": style.colour}
-            joined = len(mine) - ends_in_infinity(every)  # what is beyond all numbers is not
-            ax.plot(where[:joined], mine["mean"][:joined], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
+            n_finite = len(rows) - ends_in_infinity(every)  # what is beyond all numbers is not
+            ax.plot(where[:n_finite], rows["mean"][:n_finite], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
                     transform=beside, **look_of)  # fmt: skip
-            ax.plot(where[joined:], mine["mean"][joined:], linestyle="none", transform=beside, **look_of)
+            ax.plot(where[n_finite:], rows["mean"][n_finite:], linestyle="none", transform=beside, **look_of)
         if metric in BANDS:
             ax.axhline(1.0, color=SOFT, linewidth=0.9, zorder=1.2)
-        for one in crossings.changes(result, axis, **named) if axis in CROSSED else []:
+        for one in crossings.changes(result, axis, **selection) if axis in CROSSED else []:
             ax.axvspan(one.low, one.high, color=SOFT, alpha=0.25, linewidth=0, zorder=0.5)
             ax.axvline(one.value, color=SOFT, linestyle=":", linewidth=0.9, zorder=0.6)
     return figure
@@ -135,18 +135,18 @@ def convergence(
 
     Raises UserError for an unknown name.
     """
-    named = frames.rows(result, scenario, signal, metric)
+    stats = frames.rows(result, scenario, signal, metric)
     part = frames.convergence(result, scenario, signal, metric, cell)
-    look = styles(named.observer)
-    with sheet(paper, about(result, named, frames.named_values(result, named, cell))) as (figure, (ax,)):
+    look = styles(stats.observer)
+    with sheet(paper, about(result, stats, frames.named_values(result, stats, cell))) as (figure, (ax,)):
         runs = sorted(set(part.seeds)) or [1, 2]  # each time twice as many
         set_range(ax, "x", runs, log=True)
         ax.set_xticks(runs, [f"{n}" for n in runs])
         set_range(ax, "y", 100 * part.half, log=True)
-        ax.set(title=f"half 95 % interval of {title_of(metric, named.signal.iloc[0], '')} [% of it]", xlabel="runs")
+        ax.set(title=f"half 95 % interval of {title_of(metric, stats.signal.iloc[0], '')} [% of it]", xlabel="runs")
         for observer, line in lines(n for n in look if n in set(part.observer)).items():
-            mine = part[part.observer == observer]
-            ax.plot(mine.seeds, 100 * mine.half, marker=look[observer].marker, markersize=3.5, **line)
+            rows = part[part.observer == observer]
+            ax.plot(rows.seeds, 100 * rows.half, marker=look[observer].marker, markersize=3.5, **line)
         seeds = np.array(runs)
         last = 100 * part[part.seeds == part.seeds.max()].half.median()
         ax.plot(seeds, last * np.sqrt(seeds[-1] / seeds), label="1/√runs", color=SOFT, linestyle=":", linewidth=0.9)
@@ -178,8 +178,8 @@ def quantiles(found: ExactValidation, *, paper: Paper = PAPER) -> Figure:
         ax.set(title="(mean - exact) / standard error", xlabel="normal quantile")
         ax.plot(expected[[0, -1]], expected[[0, -1]], color=SOFT, linewidth=0.8, zorder=1)
         for observer, style in styles(sorted(rows.observer)).items():
-            mine = (rows.observer == observer).to_numpy()
-            ax.scatter(expected[mine], rows.z[mine], s=7, color=style.colour, linewidths=0, label=observer)
+            mask = (rows.observer == observer).to_numpy()
+            ax.scatter(expected[mask], rows.z[mask], s=7, color=style.colour, linewidths=0, label=observer)
     return figure
 
 
@@ -207,12 +207,12 @@ def cost(
     """
     if by not in COSTS:
         raise unknown("cost", "operation count", by, COSTS)
-    whole = frames.rows(result, scenario, signal, metric)
-    chosen = whole[whole.cell == cell]
-    both = chosen.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
+    stats = frames.rows(result, scenario, signal, metric)
+    rows = stats[stats.cell == cell]
+    both = rows.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
-    look, row = styles(both.observer), chosen.iloc[0]
-    with sheet(paper, about(result, chosen, frames.named_values(result, whole, cell))) as (figure, (ax,)):
+    look, row = styles(both.observer), rows.iloc[0]
+    with sheet(paper, about(result, rows, frames.named_values(result, stats, cell))) as (figure, (ax,)):
         wide = is_wide(both[by])
         set_range(ax, "x", both[by] if wide else [0.0, *both[by]], wide, margin=0.12)
         set_range(ax, "y", both[["mean", "ci_low", "ci_high"]], is_wide(both["mean"]), margin=0.12)

@@ -82,11 +82,11 @@ def heatmaps(
     If an axis has more than 24 values, the map is an image with lines of equal value. `marks` are points (x, y) by their label.
     Raises UserError if fewer than two axes vary, or for an unknown name.
     """
-    whole = frames.rows(result, scenario, signal, metric)
-    x, y = two_axes(whole, x, y)
-    part = frames.fix_axes(whole, [x, y], at)
-    values, unit, colours = part["mean"], unit_of(whole), ERRORS
-    norm, title = _norm(values), title_of(metric, whole.signal.iloc[0], unit)
+    stats = frames.rows(result, scenario, signal, metric)
+    x, y = two_axes(stats, x, y)
+    part = frames.fix_axes(stats, [x, y], at)
+    values, unit, colours = part["mean"], unit_of(stats), ERRORS
+    norm, title = _norm(values), title_of(metric, stats.signal.iloc[0], unit)
     if metric == "divergence_rate":
         values, unit, colours = 100 * values, "%", LOST
         norm, title = Normalize(0, 100), "diverged runs [%]"
@@ -100,13 +100,13 @@ def heatmaps(
         return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
 
     groups = part.assign(value=values).groupby("observer", sort=False)
-    maps = [(str(observer), _cells(mine, x, y, cell)) for observer, mine in groups]
+    maps = [(str(observer), _cells(group, x, y, cell)) for observer, group in groups]
     log = isinstance(norm, LogNorm)
     scale, (low, high) = np.geomspace if log else np.linspace, np.array([norm.vmin, norm.vmax], float)
     keys = [Patch(facecolor=colours(norm(v)), edgecolor=SOFT, linewidth=0.4, label=layout.short(v))
             for v in scale(low, high, KEYS)]  # fmt: skip
-    others = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
-    title = f"{title}, {about(result, part, others)}"
+    title_values = {name: part[name].iloc[0] for name in frames.varying(stats) if name not in (x, y)}
+    title = f"{title}, {about(result, part, title_values)}"
     return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
 
 
@@ -139,50 +139,50 @@ def winners(
     If the best is not significantly better than every other (5 %, Holm), its colour is pale, and the map names the observer it
     ties with. Each combination of the other varying axes has its own map, if there are few and `at` does not fix them.
     """
-    whole = frames.rows(result, scenario, signal, metric)
-    x, y = two_axes(whole, x, y)
-    others = [n for n in frames.varying(whole) if n not in (x, y, *(at or {}))]
-    found = frames.fix_axes(frames.standings(result, scenario, signal, metric), [x, y, *others], at)
-    if len(found.groupby(others, sort=False) if others else []) > MOST:
-        found = frames.fix_axes(found, [x, y])
-    groups = list(found.groupby(others, sort=False)) if others else [((), found)]
-    look = styles(whole.observer)
+    stats = frames.rows(result, scenario, signal, metric)
+    x, y = two_axes(stats, x, y)
+    panel_axes = [n for n in frames.varying(stats) if n not in (x, y, *(at or {}))]
+    standings = frames.fix_axes(frames.standings(result, scenario, signal, metric), [x, y, *panel_axes], at)
+    if len(standings.groupby(panel_axes, sort=False) if panel_axes else []) > MOST:
+        standings = frames.fix_axes(standings, [x, y])
+    groups = list(standings.groupby(panel_axes, sort=False)) if panel_axes else [((), standings)]
+    look = styles(stats.observer)
     maps = [
-        (", ".join(frames.format_axis(n, v) for n, v in zip(others, key, strict=True)),
-         _cells(mine, x, y, lambda row: _standing(look, row)))
-        for key, mine in groups
+        (", ".join(frames.format_axis(n, v) for n, v in zip(panel_axes, key, strict=True)),
+         _cells(group, x, y, lambda row: _standing(look, row)))
+        for key, group in groups
     ]  # fmt: skip
-    keys = [Patch(color=style.colour, label=name) for name, style in look.items() if name in set(found.best)]
-    title = f"winner by {describe_metric(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
-    return draw(maps, _side(result, whole, x), _side(result, whole, y), title, keys, paper)
+    keys = [Patch(color=style.colour, label=name) for name, style in look.items() if name in set(standings.best)]
+    title = f"winner by {describe_metric(metric, stats.signal.iloc[0])}, {about(result, stats, at or {})}"
+    return draw(maps, _side(result, stats, x), _side(result, stats, y), title, keys, paper)
 
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
     """Return the two axes of a map: those that are given, or the first that vary; raise UserError where there are not two."""
-    varying = frames.varying(part)
-    chosen = [name for name in (x, y) if name] + [name for name in varying if name not in (x, y)]
-    if len(chosen) < 2 or chosen[0] not in varying or chosen[1] not in varying:
+    axes = frames.varying(part)
+    names = [name for name in (x, y) if name] + [name for name in axes if name not in (x, y)]
+    if len(names) < 2 or names[0] not in axes or names[1] not in axes:
         raise UserError(
-            f"map of {part.scenario.iloc[0]}: got axes that vary: {', '.join(varying) or 'none'}, expected two; give the study "
+            f"map of {part.scenario.iloc[0]}: got axes that vary: {', '.join(axes) or 'none'}, expected two; give the study "
             "two axes with several values each, or name two of these."
         )
-    return (chosen[0], chosen[1]) if x or y else frames.map_axes(part)
+    return (names[0], names[1]) if x or y else frames.map_axes(part)
 
 
 def _standing(look: dict[str, Style], row: Row) -> Cell:
     if not row["best"]:
         return Cell(NOTHING, (row["text"], "-"), row["text"].replace("all", "all runs"))
     colour, factor = look[row["best"]].colour, row["factor"]
-    ahead = times(factor) if isfinite(factor) and factor > 1 else ""
+    lead = times(factor) if isfinite(factor) and factor > 1 else ""
     if row["winner"]:
         p = f", p {row['p']:.1g}" if isfinite(row["p"]) else ""
         return Cell(
             colour,
-            (f"{row['best']}\n{ahead}", row["best"], ahead),
-            f"{row['best']} significantly better{p}, second {ahead}",
+            (f"{row['best']}\n{lead}", row["best"], lead),
+            f"{row['best']} significantly better{p}, second {lead}",
         )
-    tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
-    return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
+    names = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
+    return Cell(pale(colour), (f"tie\n{names}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 
 
 def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> Cells:
@@ -296,8 +296,8 @@ def _draw_levels(ax: Axes, cells: Cells, x: Side, y: Side, log: bool, size: floa
         locator = LogLocator(subs=(1.0, 2.0, 5.0)) if log else MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
         low, high = float(finite.min()), float(finite.max())
         levels = [float(v) for v in locator.tick_values(low, high) if low < v < high]
-        known = [cell for cell in cells.values() if isfinite(cell.value)]
-        inks = [on(min(known, key=lambda cell: abs(cell.value - level)).colour) for level in levels]
+        finite_cells = [cell for cell in cells.values() if isfinite(cell.value)]
+        inks = [on(min(finite_cells, key=lambda cell: abs(cell.value - level)).colour) for level in levels]
         across, up = range(len(x.values)), range(len(y.values))
         lines = ax.contour(across, up, grid, levels, colors=inks, linewidths=0.6) if levels else None
         if size and lines:
@@ -314,9 +314,9 @@ def _draw_marks(ax: Axes, x: Side, y: Side, marks: Marks, paper: Paper) -> None:
     for label, place in marks.items():
         at, high = (float(np.interp(value, side.values, np.arange(len(side.values))))
                     for value, side in zip(place, (x, y), strict=True))  # fmt: skip
-        left = at > 0.7 * len(x.values)
+        on_left = at > 0.7 * len(x.values)
         ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
         ax.annotate(
-            label, (at, high), (-5 if left else 5, 4), textcoords="offset points",
-            ha="right" if left else "left", fontsize=paper.size - 1, color=INK,
+            label, (at, high), (-5 if on_left else 5, 4), textcoords="offset points",
+            ha="right" if on_left else "left", fontsize=paper.size - 1, color=INK,
         )  # fmt: skip

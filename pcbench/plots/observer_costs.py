@@ -22,8 +22,8 @@ from pcbench.study.plugins.user_observers import is_absent
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 
 
-class Thing(NamedTuple):
-    """What is kept under a name: of a cell, its observers and this release, and what is said `about` it."""
+class CacheEntry(NamedTuple):
+    """A stored table of a cell, its observers and this release; `about` are further parts of its key."""
 
     name: str
     cell: Cell
@@ -37,32 +37,32 @@ class Thing(NamedTuple):
     @property
     def key(self) -> bytes:
         """Return what it was made of."""
-        options = {o: given.model_dump() for o, given in self.cell.options.items()}
-        said = [self.cell.digest, options, self.cell.options_digests, provenance.versions(), *self.about]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
+        options = {label: o.model_dump() for label, o in self.cell.options.items()}
+        content = [self.cell.digest, options, self.cell.options_digests, provenance.versions(), *self.about]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest().encode()
 
     @property
-    def can_be_made(self) -> bool:
+    def is_computable(self) -> bool:
         """Whether the code of every observer, plant and law of a user's own is here."""
         return not any(map(is_absent, [*self.cell.own.values(), *self.cell.scenario.own.values()]))
 
 
-def load_table(out: str | Path | None, thing: Thing) -> pd.DataFrame | None:
+def load_table(out: str | Path | None, entry: CacheEntry) -> pd.DataFrame | None:
     """Return the entry of `out` with this key; None if there is none or it has another type."""
-    content = None if out is None else storage.get(storage.target(str(out)), thing.path)
-    there = None if content is None else parquet_io.unseal_table(content)
-    return there.to_pandas() if there is not None and there.schema.metadata.get(KEY) == thing.key else None
+    content = None if out is None else storage.get(storage.target(str(out)), entry.path)
+    table = None if content is None else parquet_io.unseal_table(content)
+    return table.to_pandas() if table is not None and table.schema.metadata.get(KEY) == entry.key else None
 
 
-def keep(out: str | Path | None, thing: Thing, made: pd.DataFrame) -> pd.DataFrame:
-    """Put a thing into `out`, where there is such a folder, and return it."""
+def store(out: str | Path | None, entry: CacheEntry, frame: pd.DataFrame) -> pd.DataFrame:
+    """Store the table of an entry in `out`, if there is such a folder, and return it."""
     if out is not None:
-        table = pa.Table.from_pandas(made, preserve_index=False)
-        said = {**(table.schema.metadata or {}), KEY: thing.key}
+        table = pa.Table.from_pandas(frame, preserve_index=False)
+        metadata = {**(table.schema.metadata or {}), KEY: entry.key}
         storage.put_table(
-            storage.target(str(out)), thing.path, parquet_io.seal_table(table.replace_schema_metadata(said))
+            storage.target(str(out)), entry.path, parquet_io.seal_table(table.replace_schema_metadata(metadata))
         )
-    return made
+    return frame
 
 
 def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
@@ -73,12 +73,12 @@ def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd
     one = next(each for each in cells(study, scenario) if each.number == cell)
     if one.scenario.sampling.continuous:
         return None
-    thing = Thing(f"{scenario}.costs", one, ["of the last sample"])
-    costs = load_table(out, thing)
-    if costs is not None or not thing.can_be_made:
+    entry = CacheEntry(f"{scenario}.costs", one, ["of the last sample"])
+    costs = load_table(out, entry)
+    if costs is not None or not entry.is_computable:
         return costs
     with config.float64():
-        counted = {label: each for p in drafts([one]) for label, each in operation_counts.costs(p).items()}
+        counts = {label: each for p in drafts([one]) for label, each in operation_counts.costs(p).items()}
     head = {"scenario": one.scenario.name, "cell": cell}
-    rows = [head | {"observer": label, **each._asdict()} for label, each in counted.items()]
-    return keep(out, thing, pd.DataFrame(rows))
+    rows = [head | {"observer": label, **each._asdict()} for label, each in counts.items()]
+    return store(out, entry, pd.DataFrame(rows))

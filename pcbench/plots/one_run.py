@@ -44,11 +44,11 @@ Floats = NDArray[np.float64]
 def of(
     study: Study, scenario: str, out: str | Path | None, cell: int = 0, seed: int | None = None
 ) -> pd.DataFrame | None:
-    """Return one run of a scenario as `several` does."""
-    return several(study, {scenario: cell}, out, seed)[scenario]
+    """Return one run of a scenario as `of_scenarios` does."""
+    return of_scenarios(study, {scenario: cell}, out, seed)[scenario]
 
 
-def several(
+def of_scenarios(
     study: Study, at: dict[str, int], out: str | Path | None, seed: int | None = None, progress: Progress = SILENT
 ) -> dict[str, pd.DataFrame | None]:
     """Return signal, series, kind, t [s], value of one run of each scenario, in the cell that `at` says of it.
@@ -64,32 +64,32 @@ def several(
     Runs that are all alike, and those with schedules of their own, have no low, high and rms. None where it does not stand
     there and the code of an observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
     """
-    chosen = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
+    grid_cells = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
     seed = study.first_seed if seed is None else seed
     if not 0 <= seed < 2**32 - RUNS:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     about = [seed, POINTS, RUNS, FORM]
-    things = {scenario: observer_costs.Thing(scenario, cell, about) for scenario, cell in chosen.items()}
-    found = {scenario: observer_costs.load_table(out, thing) for scenario, thing in things.items()}
-    missing = {name: t.cell for name, t in things.items() if found[name] is None and t.can_be_made}
-    for scenario, made in _simulate(missing, study.root_seed, seed, progress).items():
-        found[scenario] = observer_costs.keep(out, things[scenario], made)
-    return found
+    entries = {scenario: observer_costs.CacheEntry(scenario, cell, about) for scenario, cell in grid_cells.items()}
+    runs = {scenario: observer_costs.load_table(out, entry) for scenario, entry in entries.items()}
+    missing = {name: t.cell for name, t in entries.items() if runs[name] is None and t.is_computable}
+    for scenario, run in _simulate(missing, study.root_seed, seed, progress).items():
+        runs[scenario] = observer_costs.store(out, entries[scenario], run)
+    return runs
 
 
-def has_nees(whole: pd.DataFrame) -> bool:
+def has_nees(run: pd.DataFrame) -> bool:
     """Return whether a frame of `of` contains NEES."""
-    return bool((whole.kind == "nees").any())
+    return bool((run.kind == "nees").any())
 
 
-def runs_of(whole: pd.DataFrame) -> int:
+def runs_of(run: pd.DataFrame) -> int:
     """Return over how many runs the bands and means of a frame of `of` are taken: 1 if runs do not differ."""
-    return RUNS if (whole.kind == MEDIAN).any() else 1
+    return RUNS if (run.kind == MEDIAN).any() else 1
 
 
-def describe_seeds(whole: pd.DataFrame, seed: int) -> str:
+def describe_seeds(run: pd.DataFrame, seed: int) -> str:
     """Return the number of runs of a frame of `of` with their first seed, in words."""
-    many = runs_of(whole)
+    many = runs_of(run)
     return f"{many} runs from seed {seed}" if many > 1 else f"seed {seed}"
 
 
@@ -124,22 +124,22 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
         groups.setdefault((padding.key_of(task.plan), task.every, task.rows), []).append(task)
     with thread_pools.pool(runner.cores()) as threads:
         work = [threads.submit(runner.in_float64, _record, group, root_seed) for group in groups.values()]
-        made: dict[int, Trajectories] = {}
-        for group, done in zip(groups.values(), work, strict=True):
-            made |= {id(task): thinned for task, thinned in zip(group, done.result(), strict=True)}
+        trajectories: dict[int, Trajectories] = {}
+        for group, future in zip(groups.values(), work, strict=True):
+            trajectories |= {id(task): result for task, result in zip(group, future.result(), strict=True)}
             progress.step(len(group))
     parts: dict[str, list[pd.DataFrame]] = {scenario: [] for scenario in at}
     for task in tasks:
         series = parts[task.plan.cell.key[0]]
-        series += list(_series(task, made[id(task)], first=not series))
-    return {scenario: pd.concat(mine, ignore_index=True) for scenario, mine in parts.items()}
+        series += list(_series(task, trajectories[id(task)], first=not series))
+    return {scenario: pd.concat(frames, ignore_index=True) for scenario, frames in parts.items()}
 
 
 def _task(plan: Plan, root_seed: int, seed: int) -> Task:
     p, layout, ticks = plan.problem, plan.layout, plan.cell.times.ticks
     noisy = np.any(p.noise_std) and not layout.continuous
-    drawn = layout.random_initial_state or layout.scattered or layout.drifting or layout.pending
-    differ = bool(noisy or drawn or np.any(p.process_std)) and not plan.cell.times.random
+    is_random = layout.random_initial_state or layout.scattered or layout.drifting or layout.pending
+    differ = bool(noisy or is_random or np.any(p.process_std)) and not plan.cell.times.random
     many = RUNS if differ else 1
     every = -(-(ticks + 1) // (2 * POINTS)) if ticks >= POINTS else 1
     plan = alone(plan, root_seed, seed)
@@ -151,55 +151,55 @@ def _record(group: list[Task], root_seed: int) -> list[Trajectories]:
     """Return the runs of plans of one shape."""
     layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
     call = trajectory.compiled_some()
-    given = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
-    return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in given]
+    arguments = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
+    return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in arguments]
 
 
-def _series(task: Task, made: Trajectories, first: bool) -> Iterator[pd.DataFrame]:
+def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.DataFrame]:
     """Yield the series of one plan; `first` of its scenario."""
     plan, scenario = task.plan, task.plan.cell.scenario
-    t, closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
+    t, is_closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
-    shown = outputs_of_states(scenario)
-    plant = f"{UNDER}{plan.labels[0]}" if closed else "plant"
+    outputs = outputs_of_states(scenario)
+    plant = f"{UNDER}{plan.labels[0]}" if is_closed else "plant"
 
     def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
 
     for i, (signal, _) in enumerate(estimated_of(scenario)):
-        if first or closed:
-            yield frame(signal, plant, "truth", made.x[:, i, 0])
+        if first or is_closed:
+            yield frame(signal, plant, "truth", trajectories.x[:, i, 0])
         for label, name in names.items():
-            estimates = made.estimates[name]
+            estimates = trajectories.estimates[name]
             if i >= estimates.shape[1]:
                 continue
-            error = made.x[:, i] - estimates[:, i]
+            error = trajectories.x[:, i] - estimates[:, i]
             yield frame(signal, label, "estimate", estimates[:, i, 0])
             yield frame(signal, label, "error", error[:, 0])
             for kind, values in _spread(error).items():
                 yield frame(signal, label, kind, values)
-            if name in made.sigma:
-                yield frame(signal, label, "sigma", made.sigma[name][:, i, 0])
-            for k, end in enumerate(ENDS if name in made.bounds else ()):
-                yield frame(signal, label, end, made.bounds[name][:, k, i, 0])
-        if first and i < made.target.shape[1]:
-            yield frame(signal, "set point", "target", made.target[:, i])
-        if signal in shown and first and not closed:
-            yield frame(signal, "measured", "measured", made.held[:, shown[signal], 0])
-    if first and not closed:
-        held = made.held[:, :, 0]
+            if name in trajectories.sigma:
+                yield frame(signal, label, "sigma", trajectories.sigma[name][:, i, 0])
+            for k, end in enumerate(ENDS if name in trajectories.bounds else ()):
+                yield frame(signal, label, end, trajectories.bounds[name][:, k, i, 0])
+        if first and i < trajectories.target.shape[1]:
+            yield frame(signal, "set point", "target", trajectories.target[:, i])
+        if signal in outputs and first and not is_closed:
+            yield frame(signal, "measured", "measured", trajectories.held[:, outputs[signal], 0])
+    if first and not is_closed:
+        held_values = trajectories.held[:, :, 0]
         with np.errstate(invalid="ignore"):
-            new = (np.diff(held, axis=0, prepend=np.nan) != 0) & np.isfinite(held)
+            new = (np.diff(held_values, axis=0, prepend=np.nan) != 0) & np.isfinite(held_values)
         rows = np.any(new, axis=1)
         yield frame("", "measured", "arrival", np.ones(len(t)))[rows]
     for i, (signal, _) in enumerate(entry_of(scenario).errors):
         for label, name in names.items():
-            yield frame(signal, label, "error", made.errors[name][:, i, 0])
-            for kind, values in _spread(made.errors[name][:, i]).items():
+            yield frame(signal, label, "error", trajectories.errors[name][:, i, 0])
+            for kind, values in _spread(trajectories.errors[name][:, i]).items():
                 yield frame(signal, label, kind, values)
     for label, name in names.items():
-        if name in made.nees:
-            for kind, values in _mean_nees(*made.nees[name]).items():
+        if name in trajectories.nees:
+            for kind, values in _mean_nees(*trajectories.nees[name]).items():
                 yield frame("", label, kind, values)
 
 

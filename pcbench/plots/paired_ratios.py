@@ -49,7 +49,7 @@ class Ratios(NamedTuple):
         return bool((self.rows.ci_high > self.rows.ci_low).any())
 
     @property
-    def tested(self) -> bool:
+    def has_p(self) -> bool:
         """Whether a ratio has a p-value."""
         return bool(np.isfinite(self.rows.p).any())
 
@@ -63,33 +63,36 @@ def ratios_of(
 ) -> Ratios | None:
     """Return the ratios of a grid point; None for one observer, for a least mean of 0, or for a metric that ranks nothing."""
     metric = result.ranks(metric)
-    whole = frames.rows(result, scenario, signal, metric)
-    scenario, signal = str(whole.scenario.iloc[0]), str(whole.signal.iloc[0])
-    part, found = whole[whole.cell == cell], frames.standings(result, scenario, signal, metric)
-    stood = found[found.cell == cell].iloc[0]
-    mine = part.set_index("observer", drop=False)
-    ranked = POOLED.get(metric, metric) in COMPARED
-    if not ranked or len(part) < 2 or not stood.best or not mine["mean"][stood.best] > ROUNDING:
+    stats = frames.rows(result, scenario, signal, metric)
+    scenario, signal = str(stats.scenario.iloc[0]), str(stats.signal.iloc[0])
+    part, standings = stats[stats.cell == cell], frames.standings(result, scenario, signal, metric)
+    standing = standings[standings.cell == cell].iloc[0]
+    best = standing.best
+    table = part.set_index("observer", drop=False)
+    is_ranked = POOLED.get(metric, metric) in COMPARED
+    if not is_ranked or len(part) < 2 or not best or not table["mean"][best] > ROUNDING:
         return None
     pairs = result.pairs_of(scenario, signal)
-    met = by_cell(pairs[(pairs.metric == metric) & (pairs.cell == cell)]).get(cell, [])
-    p = {str(row["observer_b" if row["observer_a"] == stood.best else "observer_a"]): float(row["p_holm"])
-         for row in met if stood.best in (row["observer_a"], row["observer_b"])}  # fmt: skip
+    comparisons = by_cell(pairs[(pairs.metric == metric) & (pairs.cell == cell)]).get(cell, [])
+    p = {str(row["observer_b" if row["observer_a"] == best else "observer_a"]): float(row["p_holm"])
+         for row in comparisons if best in (row["observer_a"], row["observer_b"])}  # fmt: skip
     exact = bool((part.method == "exact").any())
     means = part.iloc[np.lexsort((part["mean"], part["mean"].isna()))]
-    over = _of_means(mine, stood.best) if exact else ratios_to(result, scenario, signal, metric, cell, stood.best)
+    over = _of_means(table, best) if exact else ratios_to(result, scenario, signal, metric, cell, best)
     rows = pd.DataFrame({"observer": means.observer.to_list()}).join(over, on="observer")
     rows["p"] = rows.observer.map(p)
-    rows["worse"] = [o not in stood.leaders and o not in stood.alike and o != stood.best for o in rows.observer]
-    runs = mine.loc[rows.observer, ["n", "diverged"]].to_numpy(float)
+    rows["worse"] = [o not in standing.leaders and o not in standing.alike and o != best for o in rows.observer]
+    runs = table.loc[rows.observer, ["n", "diverged"]].to_numpy(float)
     rows["diverged"] = runs[:, 1] / np.maximum(runs.sum(1), 1)
-    rows["more"] = [diverges_more(mine.loc[stood.best], mine.loc[o]) for o in rows.observer]
-    rows["certified"] = mine.certified.loc[rows.observer].to_list()
-    rows = rows.sort_values("observer", key=lambda names: names != stood.best, kind="stable", ignore_index=True)
-    stats = result.stats_of(scenario, signal)
-    bound = stats[(stats.metric == "rms_efficiency") & (stats.cell == cell) & (stats.observer == stood.best)]
+    rows["more"] = [diverges_more(table.loc[best], table.loc[o]) for o in rows.observer]
+    rows["certified"] = table.certified.loc[rows.observer].to_list()
+    rows = rows.sort_values("observer", key=lambda names: names != best, kind="stable", ignore_index=True)
+    efficiency = result.stats_of(scenario, signal)
+    bound = efficiency[
+        (efficiency.metric == "rms_efficiency") & (efficiency.cell == cell) & (efficiency.observer == best)
+    ]
     has_bound = metric in BOUNDED and len(bound) and np.isfinite(bound["mean"].iloc[0])
-    return Ratios(rows, stood.best, float(mine["mean"][stood.best]), bound.iloc[0] if has_bound else None, exact)
+    return Ratios(rows, best, float(table["mean"][best]), bound.iloc[0] if has_bound else None, exact)
 
 
 def ratios_to(result: Result, scenario: str, signal: str, metric: str, cell: int, best: str) -> pd.DataFrame:
@@ -108,16 +111,16 @@ def ratios_to(result: Result, scenario: str, signal: str, metric: str, cell: int
     return pd.DataFrame.from_dict(out, orient="index", columns=["ratio", "ci_low", "ci_high", "n"])
 
 
-def _of_means(mine: pd.DataFrame, best: str) -> pd.DataFrame:
+def _of_means(stats: pd.DataFrame, best: str) -> pd.DataFrame:
     """Return the same from rows of stats, some of them exact."""
-    mean, high = mine["mean"].to_numpy(float), mine.ci_high.to_numpy(float)
-    here = mine.observer.to_numpy(str) == best
+    mean, high = stats["mean"].to_numpy(float), stats.ci_high.to_numpy(float)
+    here = stats.observer.to_numpy(str) == best
     with np.errstate(divide="ignore", invalid="ignore"):
         half = np.nan_to_num(np.log(high / mean))
     half = np.where(here, 0.0, np.hypot(half, half[here]))
     ratio = mean / mean[here]
-    rows = {"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": mine.n.to_numpy()}
-    return pd.DataFrame(rows, index=mine.index)
+    rows = {"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": stats.n.to_numpy()}
+    return pd.DataFrame(rows, index=stats.index)
 
 
 def ratios(
@@ -136,50 +139,50 @@ def ratios(
     one, has a row of its own. Raises UserError for an unknown name, and if there is no ratio: one observer only, or an error
     of 0.
     """
-    whole = frames.rows(result, scenario, signal, metric)
-    found = ratios_of(result, scenario, signal, metric, cell)
-    if found is None:
+    stats = frames.rows(result, scenario, signal, metric)
+    table = ratios_of(result, scenario, signal, metric, cell)
+    if table is None:
         raise UserError(
-            f"plots.ratios: got one observer or a least error of 0 at grid point {cell} of {whole.scenario.iloc[0]}, expected "
+            f"plots.ratios: got one observer or a least error of 0 at grid point {cell} of {stats.scenario.iloc[0]}, expected "
             "two observers and a least error above 0; use another grid point."
         )
-    rows, look = found.rows, styles(whole.observer)
-    words = describe_metric(result.ranks(metric), whole.signal.iloc[0])
-    here = about(result, whole, frames.named_values(result, whole, cell))
-    methods = ["95 % paired intervals"] * found.intervals + ["p-values of the paired t-test (Holm)"] * found.tested
+    rows, look = table.rows, styles(stats.observer)
+    words = describe_metric(result.ranks(metric), stats.signal.iloc[0])
+    here = about(result, stats, frames.named_values(result, stats, cell))
+    methods = ["95 % paired intervals"] * table.intervals + ["p-values of the paired t-test (Holm)"] * table.has_p
     title = ", ".join([f"{words}: {here}", *methods])
-    keys: list[Artist] = [Patch(color=GRID, label="not distinguishable (95 %)")] if found.intervals else []
+    keys: list[Artist] = [Patch(color=GRID, label="not distinguishable (95 %)")] if table.intervals else []
     if not rows.worse[1:].all():
         hollow = Line2D([], [], color=SOFT, marker="o", markerfacecolor="white", linestyle="none", markersize=5)
-        hollow.set_label("not significant" if found.tested else "not worse")
+        hollow.set_label("not significant" if table.has_p else "not worse")
         keys.append(hollow)
-    if found.bound is not None:
+    if table.bound is not None:
         keys.append(Line2D([], [], color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, label=BOUND))
     names = [mark_uncertified(str(o), [c]) for o, c in zip(rows.observer, rows.certified, strict=True)]
-    names += [] if found.bound is None else [BOUND]
-    least = with_unit(layout.number(float(f"{found.value:.3g}")), unit_of(whole))
+    names += [] if table.bound is None else [BOUND]
+    least = with_unit(layout.number(float(f"{table.value:.3g}")), unit_of(stats))
     with sheet(paper, title, height=ROW * len(names) + 0.1, keys=keys) as (figure, (ax,)):
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.set_yticks(range(len(names)), names)
         ax.tick_params(axis="y", length=0)
         ax.grid(False, axis="y")
-        ax.set(xlabel=f"relative to {found.best}, {least}")
-        _set_ratios(ax, found)
+        ax.set(xlabel=f"relative to {table.best}, {least}")
+        _set_ratios(ax, table)
         for place, row in enumerate(cast(list[Row], rows.to_dict("records"))):
-            _draw_row(ax, place, row, look[row["observer"]], found, paper)
+            _draw_row(ax, place, row, look[row["observer"]], table, paper)
         ax.axvline(1.0, color=SOFT, linewidth=0.8, zorder=1.2)
-        if found.bound is not None:
-            low, at, high = found.bound[["ci_low", "mean", "ci_high"]]
+        if table.bound is not None:
+            low, at, high = table.bound[["ci_low", "mean", "ci_high"]]
             ax.axvline(at, color=INK, linestyle=(0, (4.0, 2.0)), linewidth=0.9, zorder=1.3)
             ax.hlines(len(rows), low, high, color=INK, linewidth=1.3)
             ax.plot([at], [len(rows)], marker="|", color=INK, markersize=8)
     return figure
 
 
-def _set_ratios(ax: Axes, found: Ratios) -> None:
+def _set_ratios(ax: Axes, table: Ratios) -> None:
     """Choose the logarithmic axis of ratios, with room on both sides of 1."""
-    drawn = found.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
-    ends = [*drawn, 1.0, *([] if found.bound is None else found.bound[["mean", "ci_low", "ci_high"]])]
+    values = table.rows[["ratio", "ci_low", "ci_high"]].to_numpy(float).ravel()
+    ends = [*values, 1.0, *([] if table.bound is None else table.bound[["mean", "ci_low", "ci_high"]])]
     set_range(ax, "x", ends, log=True)
     low, high = ax.get_xlim()
     if high < NARROW * low:
@@ -187,9 +190,9 @@ def _set_ratios(ax: Axes, found: Ratios) -> None:
         set_limits(ax, "x", min(low, 1 / room**0.3), max(high, room), log=True)
 
 
-def _draw_row(ax: Axes, place: int, row: Row, style: Style, found: Ratios, paper: Paper) -> None:
+def _draw_row(ax: Axes, place: int, row: Row, style: Style, table: Ratios, paper: Paper) -> None:
     ratio, low, high = (row[name] for name in ("ratio", "ci_low", "ci_high"))
-    is_best = row["observer"] == found.best
+    is_best = row["observer"] == table.best
     if np.isfinite(ratio):
         if np.isfinite(low) and not is_best and high > low:
             half = np.sqrt(high / low)
@@ -206,21 +209,21 @@ def _draw_row(ax: Axes, place: int, row: Row, style: Style, found: Ratios, paper
             linestyle="none",
             zorder=3,
         )
-    ax.text(1.02, place, verdict(row, found), transform=ax.get_yaxis_transform(), va="center_baseline",
+    ax.text(1.02, place, verdict(row, table), transform=ax.get_yaxis_transform(), va="center_baseline",
             fontsize=paper.size - 1)  # fmt: skip
 
 
-def verdict(row: Row, found: Ratios) -> str:
+def verdict(row: Row, table: Ratios) -> str:
     """Return how an observer compares with the best one, in a few words: with the p-value, if there is one."""
     share = f"{100 * row['diverged']:.3g} % diverged" if row["diverged"] else ""
-    if row["observer"] == found.best:
+    if row["observer"] == table.best:
         words = "best"
     elif not np.isfinite(row["ratio"]) or row["more"]:
         return share or "no value"
     elif np.isfinite(row["p"]):
         words = f"p < {LEAST:g}" if row["p"] < LEAST else f"p = {row['p']:.2g}"
     elif row["worse"]:
-        words = "exact" if found.exact else "no noise"
+        words = "exact" if table.exact else "no noise"
     else:
         words = "equal" if abs(row["ratio"] - 1) < EQUAL else "no test"
     return ", ".join(filter(None, [words, share]))

@@ -106,16 +106,16 @@ def styles(labels: Iterable[str]) -> dict[str, Style]:
 
 def _style(base: str, rank: int) -> Style:
     number = sum(map(ord, base))  # by which a user's own observer gets one of these looks
-    own = Style(OWN[number % len(OWN)], OWN_DASHES[number % len(OWN_DASHES)], "Dv"[number % 2])
-    look = LOOKS.get(base, own)
+    user_style = Style(OWN[number % len(OWN)], OWN_DASHES[number % len(OWN_DASHES)], "Dv"[number % 2])
+    look = LOOKS.get(base, user_style)
     if not rank:
         return look
-    dotted = ((*look.dash, 1.0, 1.4) if look.dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
+    dash = ((*look.dash, 1.0, 1.4) if look.dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
     first = 3 * list(LOOKS).index(base) if base in LOOKS else number
     shades = [mix_gray(look.colour, abs(shade), 255 if shade >= 0 else 0) for shade in SHADES]
     shades = [colour for colour in shades if 1.05 / (luminance(colour) + 0.05) > CONTRAST]
     colour = shades[rank % len(shades)]
-    return Style(colour, dotted, SIBLINGS[(first + rank) % len(SIBLINGS)])
+    return Style(colour, dash, SIBLINGS[(first + rank) % len(SIBLINGS)])
 
 
 def mix_gray(colour: str, share: float, other: int) -> str:

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 
 def rank_probabilities(
-    result: Result, found: Regrets, metric: str = frames.METRIC, repeats: int = REPEATS, seed: int = 0
+    result: Result, matrix: Regrets, metric: str = frames.METRIC, repeats: int = REPEATS, seed: int = 0
 ) -> pd.DataFrame:
     """Return the probability of each rank (columns, from 1) of each observer (rows), as a mean over situations.
 
@@ -42,7 +42,7 @@ def rank_probabilities(
     if result.exact or column not in COMPARED:
         return pd.DataFrame()
     rng, tables = np.random.default_rng(seed), []
-    places = found.rows[["scenario", "signal", "cell"]].drop_duplicates()
+    places = matrix.rows[["scenario", "signal", "cell"]].drop_duplicates()
     for scenario, signal, cell in places.itertuples(index=False, name=None):
         runs = result.runs_of(scenario, [column], int(cell))
         runs = runs[runs.signal == signal]
@@ -56,10 +56,10 @@ def rank_probabilities(
 
 def rank_shares(values: Floats, counts: Floats) -> Floats:
     """Return the share of draws [B] in which observer i of m has rank r, [m, m]; values [n, m], NaN diverged; counts [B, n]."""
-    lost = np.isnan(values)
-    diverged = counts @ lost
+    missing = np.isnan(values)
+    diverged = counts @ missing
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = counts @ np.where(lost, 0.0, values) / (counts @ ~lost)
+        mean = counts @ np.where(missing, 0.0, values) / (counts @ ~missing)
     mean = np.where(np.isnan(mean), np.inf, mean)
     fewer, as_many = diverged[:, :, None] > diverged[:, None, :], diverged[:, :, None] == diverged[:, None, :]
     with np.errstate(invalid="ignore"):
@@ -68,11 +68,11 @@ def rank_shares(values: Floats, counts: Floats) -> Floats:
     return np.stack([(rank == r).mean(0) for r in range(values.shape[1])], 1)
 
 
-def shares_within(found: Regrets, observer: str) -> tuple[Floats, Floats]:
+def shares_within(matrix: Regrets, observer: str) -> tuple[Floats, Floats]:
     """Return ascending factors, and the share of situations in which an observer's error is within them."""
-    ratios = found.rows.ratio[found.rows.observer == observer].to_numpy(float)
+    ratios = matrix.rows.ratio[matrix.rows.observer == observer].to_numpy(float)
     factors = np.sort(ratios[np.isfinite(ratios)])
-    return factors, np.arange(1, len(factors) + 1) / len(found.situations)
+    return factors, np.arange(1, len(factors) + 1) / len(matrix.situations)
 
 
 def profiles(
@@ -89,37 +89,37 @@ def profiles(
     situations. `signals` selects the signals (None: the first main signal of each scenario). Raises UserError for an unknown
     name, and if the study has fewer than two situations or observers, or more than 48 situations.
     """
-    found = regrets_of(result, metric, signals)
-    if found is None:
+    matrix = regrets_of(result, metric, signals)
+    if matrix is None:
         raise UserError(
             f"plots.profiles: got {result.study.name}, expected two observers or more and 2 to {MOST} situations with an error "
             "above 0; choose fewer values of the axes, or several."
         )
-    chances = rank_probabilities(result, found, metric)
-    ranked = not chances.empty
-    words = describe_metric(result.ranks(metric), " or ".join(found.signals))
-    title = f"{words} [-]: {result.study.name}, {len(found.situations)} situations, {describe_runs(found.runs)}"
-    title += f", ranks by a paired bootstrap ({REPEATS:,} draws)" if ranked else ""
+    chances = rank_probabilities(result, matrix, metric)
+    has_ranks = not chances.empty
+    words = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
+    title = f"{words} [-]: {result.study.name}, {len(matrix.situations)} situations, {describe_runs(matrix.runs)}"
+    title += f", ranks by a paired bootstrap ({REPEATS:,} draws)" if has_ranks else ""
     ranks = len(chances.columns)
-    largest = found.rows.ratio[np.isfinite(found.rows.ratio)].max()
-    height = max(1.3, ROW * len(chances)) if ranked else 1.5
-    with sheet(paper, title, 1 + ranked, height=height) as (figure, axes):
+    largest = matrix.rows.ratio[np.isfinite(matrix.rows.ratio)].max()
+    height = max(1.3, ROW * len(chances)) if has_ranks else 1.5
+    with sheet(paper, title, 1 + has_ranks, height=height) as (figure, axes):
         ax = axes[0]
         set_range(ax, "x", [1.0, max(float(largest), 1.05)], log=True)
         ax.set_xlim(left=1.0)
         set_limits(ax, "y", 0.0, 1.02)
         ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
         ax.set(title="share of situations within the factor", xlabel="factor of the least error")
-        for observer, line in lines(found.observers).items():
-            factors, shares = shares_within(found, observer)
+        for observer, line in lines(matrix.observers).items():
+            factors, shares = shares_within(matrix, observer)
             ax.step(
                 [1.0, *factors, ax.get_xlim()[1]],
                 [0.0, *shares, *(shares[-1:] if len(shares) else [0.0])],
                 where="post",
                 **line,
             )
-        if ranked:
-            _draw_ranks(axes[1], chances.loc[[o for o in found.observers if o in chances.index]], ranks, paper)
+        if has_ranks:
+            _draw_ranks(axes[1], chances.loc[[o for o in matrix.observers if o in chances.index]], ranks, paper)
     return figure
 
 
@@ -132,11 +132,11 @@ def _draw_ranks(ax: Axes, chances: pd.DataFrame, ranks: int, paper: Paper) -> No
     ax.grid(False)
     ax.tick_params(axis="y", length=0)
     for y, (observer, row) in enumerate(chances.iterrows()):
-        left = 0.0
+        offset = 0.0
         for rank, share in row.items():
             colour = pale(look[str(observer)].colour, 0.85 * (int(str(rank)) - 1) / max(ranks - 1, 1))
-            ax.barh(y, share, left=left, height=0.8, color=colour, edgecolor="white", linewidth=0.5)
+            ax.barh(y, share, left=offset, height=0.8, color=colour, edgecolor="white", linewidth=0.5)
             if share > LEAST:
-                ax.text(left + share / 2, y, str(rank), ha="center", va="center_baseline", fontsize=paper.size - 2,
+                ax.text(offset + share / 2, y, str(rank), ha="center", va="center_baseline", fontsize=paper.size - 2,
                         color=on(colour), in_layout=False)  # fmt: skip
-            left += float(share)
+            offset += float(share)

@@ -88,14 +88,14 @@ def regrets_of(
     Of each scenario, the first main signal is taken, or the first of `signals` that it has.
     """
     metric = result.ranks(metric)
-    parts, chosen, runs = list[pd.DataFrame](), dict[str, None](), 0
+    parts, signal_names, runs = list[pd.DataFrame](), dict[str, None](), 0
     every, points, lowest = list[pd.DataFrame](), dict[str, tuple[str, int]](), dict[str, float]()
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
-            part, stood = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
-            equal = zip(stood.cell, stood.leaders, stood.alike, strict=True)
-            leaders = {cell: {*leading, *alike} for cell, leading, alike in equal}
-            best = dict(zip(stood.cell, stood.best, strict=True))
+            part, standings = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
+            equal = zip(standings.cell, standings.leaders, standings.alike, strict=True)
+            leaders = {cell: {*leader_names, *alike} for cell, leader_names, alike in equal}
+            best = dict(zip(standings.cell, standings.best, strict=True))
             least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
             titles = frames.titles(result, part)
             names = {cell: _situation(result, part, cell, titles) for cell in best}
@@ -110,26 +110,26 @@ def regrets_of(
                 o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)
             ]
             parts.append(rows[(least > ROUNDING).to_numpy()])
-            chosen[signal] = None
+            signal_names[signal] = None
             runs = max(runs, frames.runs_of(part))
-    whole = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
-    situations, observers = (list(dict.fromkeys(whole[name])) for name in ("situation", "observer"))
+    all_rows = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
+    situations, observers = (list(dict.fromkeys(all_rows[name])) for name in ("situation", "observer"))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
     levels = _levels(result, every, {name: points[name] for name in situations})
     units = {unit_of(part) for part in every}
-    found = Regrets(
-        rows=whole,
+    matrix = Regrets(
+        rows=all_rows,
         observers=observers,
         situations=situations,
         runs=runs,
-        signals=list(chosen),
+        signals=list(signal_names),
         levels=levels,
         least={name: lowest[name] for name in situations},
         unit=units.pop() if len(units) == 1 else "",
     )
-    largest = found.largest
-    return found._replace(observers=sorted(observers, key=lambda o: largest[o]))
+    largest = matrix.largest
+    return matrix._replace(observers=sorted(observers, key=lambda o: largest[o]))
 
 
 def _situation(result: Result, part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
@@ -148,16 +148,16 @@ def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tup
         return [Level("", list(situations))]
     by = {part.scenario.iloc[0]: part for part in parts}
     titles = [title_of_scenario(result.study, scenario) for scenario, _ in situations.values()]
-    found = [Level("", [title.removeprefix(_shared(titles)) for title in titles])]
+    levels = [Level("", [title.removeprefix(_common_prefix(titles)) for title in titles])]
     values = [frames.values_at(by[scenario], cell) for scenario, cell in situations.values()]
     for axis in result.study.axes:
         names = {frames.label(axis, frames.titles(result, part)) for part in parts}
         name = names.pop() if len(names) == 1 else frames.label(axis).partition(" [")[0]
-        found.append(Level(name, [frames.word(axis, point[axis]) if axis in point else "" for point in values]))
-    return [level for level in found if len(set(level.words)) > 1]
+        levels.append(Level(name, [frames.word(axis, point[axis]) if axis in point else "" for point in values]))
+    return [level for level in levels if len(set(level.words)) > 1]
 
 
-def _shared(names: list[str]) -> str:
+def _common_prefix(names: list[str]) -> str:
     """Return the part up to the first / with which all names begin."""
     begins = {name.partition("/")[0] + "/" if "/" in name else "" for name in names}
     return begins.pop() if len(begins) == 1 else ""
@@ -176,42 +176,42 @@ def regrets(
     in order of their largest ratio. Hatched: not significantly worse than the best (paired t-test, Holm, 5 %). Raises
     UserError for an unknown name, and if the study has fewer than two situations or observers.
     """
-    found = regrets_of(result, metric, signals, None)
-    if found is None:
+    matrix = regrets_of(result, metric, signals, None)
+    if matrix is None:
         raise UserError(
             f"plots.regrets: got fewer than two observers or situations with an error above 0 in {result.study.name}, "
             "expected two; give the study an axis with several values or several scenarios."
         )
-    finite = found.rows.ratio[np.isfinite(found.rows.ratio)]
+    finite = matrix.rows.ratio[np.isfinite(matrix.rows.ratio)]
     darkest = max(DARKEST, float(finite.max()))
     norm = LogNorm(1.0, darkest)
-    many = len(found.situations)
+    many = len(matrix.situations)
     panels = ceil(many / COLUMNS)
     columns = ceil(many / panels)
     parts = [range(i, min(i + columns, many)) for i in range(0, many, columns)]
-    power, least = _scaled(list(found.least.values()))
-    unit = f"{layout.number(10.0**power)} {found.unit}".strip() if power else found.unit
-    rows = [*found.observers, *([with_unit("least", unit)] if found.unit else [])]
+    power, least = _scale_errors(list(matrix.least.values()))
+    unit = f"{layout.number(10.0**power)} {matrix.unit}".strip() if power else matrix.unit
+    rows = [*matrix.observers, *([with_unit("least", unit)] if matrix.unit else [])]
     observers = max(paper.width_of(name, 1) for name in rows)
-    names = max(observers, *(paper.width_of(level.name, 1) for level in found.levels))
-    narrow = max([CELL, *(paper.width_of(word, 2) + 0.6 * paper.em for word in least if found.unit)])
-    cell = max(narrow, _cell_width(found.levels, parts, paper))
+    names = max(observers, *(paper.width_of(level.name, 1) for level in matrix.levels))
+    narrow = max([CELL, *(paper.width_of(word, 2) + 0.6 * paper.em for word in least if matrix.unit)])
+    cell = max(narrow, _cell_width(matrix.levels, parts, paper))
     upright = names + cell * columns + BESIDE > paper.full
     if upright:
         names, cell = observers, narrow
-        below = max(paper.width_of(label, 1) for label in _labels(found.levels)) + paper.em
+        below = max(paper.width_of(label, 1) for label in _labels(matrix.levels)) + paper.em
     else:
-        below = len(found.levels) * LINE * paper.em + 0.5 * paper.em
-    test = " (paired t-test, Holm, 5 %)" if found.runs > 1 else ""
-    subject = describe_metric(result.ranks(metric), " or ".join(found.signals))
-    titles = [level.name for level in found.levels if level.name and upright]
-    about = [f"{subject} / least of the column [-]", _shared_title(result, found), describe_runs(found.runs)]
-    about += [f"hatched: {found.tie}{test}"] * bool(found.ties.any())
+        below = len(matrix.levels) * LINE * paper.em + 0.5 * paper.em
+    test = " (paired t-test, Holm, 5 %)" if matrix.runs > 1 else ""
+    subject = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
+    titles = [level.name for level in matrix.levels if level.name and upright]
+    about = [f"{subject} / least of the column [-]", _common_title(result, matrix), describe_runs(matrix.runs)]
+    about += [f"hatched: {matrix.tie}{test}"] * bool(matrix.ties.any())
     about += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
             for v in KEYS if v <= darkest]  # fmt: skip
-    if found.ties.any():
-        keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label=found.tie))
+    if matrix.ties.any():
+        keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label=matrix.tie))
     with sheet(
         paper,
         ", ".join(about),
@@ -221,24 +221,24 @@ def regrets(
         keys=keys,
     ) as (figure, axes):
         for ax, part in zip(axes, parts, strict=True):
-            _draw_panel(ax, found, part, norm, paper)
+            _draw_panel(ax, matrix, part, norm, paper)
             ax.set(ylim=(len(rows) - 0.5, -0.5))
             ax.set_yticks(range(len(rows)), rows)
-            for x, i in enumerate(part if found.unit else ()):
-                ax.text(x, len(found.observers), least[i], ha="center", va="center", fontsize=paper.size - 2, color=SOFT,
+            for x, i in enumerate(part if matrix.unit else ()):
+                ax.text(x, len(matrix.observers), least[i], ha="center", va="center", fontsize=paper.size - 2, color=SOFT,
                         in_layout=False)  # fmt: skip
             if upright:
-                ax.set_xticks(range(len(part)), [_labels(found.levels)[i] for i in part], rotation=90)
+                ax.set_xticks(range(len(part)), [_labels(matrix.levels)[i] for i in part], rotation=90)
             else:
-                _draw_levels(ax, found.levels, part, paper)
+                _draw_levels(ax, matrix.levels, part, paper)
     return figure
 
 
-def _shared_title(result: Result, found: Regrets) -> str:
+def _common_title(result: Result, matrix: Regrets) -> str:
     """Return the study's name, with the scenario or the begin of the names of all scenarios."""
-    scenarios = [title_of_scenario(result.study, name) for name in dict.fromkeys(found.rows.scenario)]
-    shared = scenarios[0] if len(scenarios) == 1 else _shared(scenarios).rstrip("/")
-    return ", ".join(dict.fromkeys(filter(None, [result.study.name, shared])))
+    scenarios = [title_of_scenario(result.study, name) for name in dict.fromkeys(matrix.rows.scenario)]
+    prefix = scenarios[0] if len(scenarios) == 1 else _common_prefix(scenarios).rstrip("/")
+    return ", ".join(dict.fromkeys(filter(None, [result.study.name, prefix])))
 
 
 def _cell_width(levels: list[Level], parts: list[range], paper: Paper) -> float:
@@ -257,20 +257,20 @@ def _labels(levels: list[Level]) -> list[str]:
     return [SEPARATOR.join(words) for words in zip(*(level.words for level in levels), strict=True)]
 
 
-def _draw_panel(ax: Axes, found: Regrets, columns: range, norm: LogNorm, paper: Paper) -> None:
-    situations = [found.situations[i] for i in columns]
+def _draw_panel(ax: Axes, matrix: Regrets, columns: range, norm: LogNorm, paper: Paper) -> None:
+    situations = [matrix.situations[i] for i in columns]
     ax.set(xlim=(-0.5, len(situations) - 0.5))
     ax.set_xticks([])
     ax.grid(False)
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
-    for row in cast(list[Row], found.rows[found.rows.situation.isin(situations)].to_dict("records")):
-        x, y = situations.index(row["situation"]), found.observers.index(row["observer"])
+    for row in cast(list[Row], matrix.rows[matrix.rows.situation.isin(situations)].to_dict("records")):
+        x, y = situations.index(row["situation"]), matrix.observers.index(row["observer"])
         colour = to_hex(COLOURS(norm(row["ratio"]) if isfinite(row["ratio"]) else 1.0))
         ties = not (row["best"] or row["worse"])
         patch = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor=GRID, linewidth=0.6)
         text = number(row["ratio"])
-        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{f', {found.tie}' if ties else ''}")
+        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{f', {matrix.tie}' if ties else ''}")
         ax.add_patch(patch)
         if ties:
             ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=HATCH, hatch="/////", linewidth=0.0))
@@ -295,7 +295,7 @@ def _draw_levels(ax: Axes, levels: list[Level], columns: range, paper: Paper) ->
                 ax.plot(ends, [0.0, 0.0], color=SOFT, linewidth=0.6, clip_on=False, transform=rule, label="_")
 
 
-def _scaled(least: list[float]) -> tuple[int, list[str]]:
+def _scale_errors(least: list[float]) -> tuple[int, list[str]]:
     """Return a power of ten, a multiple of 3, and errors divided by it with two digits, so that most are short."""
     power = 3 * floor(log10(float(np.median([v for v in least if isfinite(v)] or 1.0))) / 3 + 1e-12)
     power = 0 if -3 <= power < 3 and min(least) >= SMALL else power

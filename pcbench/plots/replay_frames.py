@@ -23,13 +23,13 @@ PERIODS = 60  # parts of time, of which the mean log-likelihood is drawn
 Floats = NDArray[np.float64]
 
 
-class Replayed(NamedTuple):
+class Replay(NamedTuple):
     """A replay's folder."""
 
     folder: Path
     summary: dict[str, Any]  # of replay.json
     observers: list[str]
-    judged: list[str]  # those with innovations
+    with_innovations: list[str]  # those with innovations
     units: dict[str, str]  # of every estimated signal, by its name
     truth: list[str]  # signals whose true values are known
     smoothed: list[str]  # signals of the smoother
@@ -37,7 +37,7 @@ class Replayed(NamedTuple):
     @property
     def scale(self) -> list[str]:
         """Return the observers that set the scale of a figure: those with innovations, if there are any."""
-        return self.judged or self.observers
+        return self.with_innovations or self.observers
 
     @property
     def end(self) -> float:
@@ -50,14 +50,14 @@ def is_replay(folder: str | Path) -> bool:
     return "://" not in str(folder) and (Path(folder) / SUMMARY).is_file()
 
 
-def open_replay(folder: str | Path) -> Replayed:
+def open_replay(folder: str | Path) -> Replay:
     """Return a replay's folder; raise UserError if a file of it is missing or damaged."""
     folder = Path(folder)
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         schema = pq.read_schema(folder / ESTIMATES)
         innovations = pq.read_schema(folder / INNOVATIONS).names
-        smoothed = pq.read_schema(folder / SMOOTHED).names[1:] if (folder / SMOOTHED).exists() else []
+        smoothed_signals = pq.read_schema(folder / SMOOTHED).names[1:] if (folder / SMOOTHED).exists() else []
         observers = list(summary["certificates"])
     except (OSError, ValueError, KeyError) as error:
         raise UserError(
@@ -69,100 +69,100 @@ def open_replay(folder: str | Path) -> Replayed:
         for name in schema.names:
             if name.startswith(f"{observer}.") and not name.endswith(".sigma"):
                 units[name.removeprefix(f"{observer}.")] = schema.field(name).metadata[b"unit"].decode()
-    return Replayed(
+    return Replay(
         folder=folder,
         summary=summary,
         observers=observers,
-        judged=[o for o in observers if f"{o}.innovation" in innovations],
+        with_innovations=[o for o in observers if f"{o}.innovation" in innovations],
         units=units,
         truth=[name for name in units if name in schema.names],
-        smoothed=smoothed,
+        smoothed=smoothed_signals,
     )
 
 
 def parts(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
     """Yield columns of a file, a part at a time, with the numbers of its rows as index."""
     first = 0
-    with pq.ParquetFile(file) as opened:
-        for i in range(opened.num_row_groups):
-            found = opened.read_row_group(i, columns=columns, use_threads=False).to_pandas()
-            yield found.set_index(np.arange(first, first + len(found)))
-            first += len(found)
+    with pq.ParquetFile(file) as parquet:
+        for i in range(parquet.num_row_groups):
+            frame = parquet.read_row_group(i, columns=columns, use_threads=False).to_pandas()
+            yield frame.set_index(np.arange(first, first + len(frame)))
+            first += len(frame)
 
 
 def extremes(bins: Floats, values: Floats) -> NDArray[np.intp]:
     """Return the places of the least and of the largest finite value of each bin, in order, without repetitions."""
-    known = np.flatnonzero(np.isfinite(values))
-    order = known[np.lexsort((values[known], bins[known]))]
+    finite = np.flatnonzero(np.isfinite(values))
+    order = finite[np.lexsort((values[finite], bins[finite]))]
     edges = np.flatnonzero(np.diff(bins[order])) + 1 if len(order) else order
     ends = np.concatenate([[0], edges, edges - 1, [len(order) - 1]]).astype(int) if len(order) else order
     return np.unique(order[ends])
 
 
-def states(r: Replayed, observer: str, signal: str) -> pd.DataFrame:
+def states(r: Replay, observer: str, signal: str) -> pd.DataFrame:
     """Return the thinned estimate of one observer: t, estimate, sigma (NaN: it has none) and error.
 
     The error is the true state minus the estimate; where no true state is recorded, the smoothed state minus the estimate.
     """
-    smoothed = _smoothed(r, signal)
-    return _thinned(r, observer, signal, lambda part: _states(r, part, observer, signal, smoothed))
+    smoothed_states = _read_smoothed(r, signal)
+    return _thin(r, observer, signal, lambda part: _states(r, part, observer, signal, smoothed_states))
 
 
-def _thinned(r: Replayed, observer: str, signal: str, frame: Callable[[pd.DataFrame], pd.DataFrame]) -> pd.DataFrame:
+def _thin(r: Replay, observer: str, signal: str, frame: Callable[[pd.DataFrame], pd.DataFrame]) -> pd.DataFrame:
     out = []
     for part in parts(r.folder / ESTIMATES, _columns(r, observer, signal)):
-        found = frame(part)
-        bins = np.floor(found.t.to_numpy() / r.end * BINS)
-        places = [extremes(bins, found[name].to_numpy()) for name in ("estimate", "error", "sigma")]
-        out.append(found.iloc[np.unique(np.concatenate(places))])
+        rows = frame(part)
+        bins = np.floor(rows.t.to_numpy() / r.end * BINS)
+        places = [extremes(bins, rows[name].to_numpy()) for name in ("estimate", "error", "sigma")]
+        out.append(rows.iloc[np.unique(np.concatenate(places))])
     return pd.concat(out, ignore_index=True)
 
 
-def _columns(r: Replayed, observer: str, signal: str) -> list[str]:
+def _columns(r: Replay, observer: str, signal: str) -> list[str]:
     names = pq.read_schema(r.folder / ESTIMATES).names
-    wanted = ["t", signal, f"{observer}.{signal}", f"{observer}.{signal}.sigma"]
-    return [name for name in wanted if name in names]
+    candidates = ["t", signal, f"{observer}.{signal}", f"{observer}.{signal}.sigma"]
+    return [name for name in candidates if name in names]
 
 
-def _states(r: Replayed, part: pd.DataFrame, observer: str, signal: str, smoothed: Floats | None) -> pd.DataFrame:
+def _states(r: Replay, part: pd.DataFrame, observer: str, signal: str, smoothed_states: Floats | None) -> pd.DataFrame:
     unknown = np.full(len(part), np.nan)
     estimate = np.asarray(part.get(f"{observer}.{signal}", unknown))
-    best = unknown if smoothed is None else smoothed[part.index]
+    best = unknown if smoothed_states is None else smoothed_states[part.index]
     best = part[signal].to_numpy() if signal in r.truth else best
     sigma = part.get(f"{observer}.{signal}.sigma", unknown)
     return pd.DataFrame({"t": part.t, "estimate": estimate, "sigma": sigma, "error": best - estimate})
 
 
-def _smoothed(r: Replayed, signal: str) -> Floats | None:
+def _read_smoothed(r: Replay, signal: str) -> Floats | None:
     if signal not in r.smoothed:
         return None
     return pq.read_table(r.folder / SMOOTHED, columns=[signal])[signal].to_numpy()
 
 
-def excerpt(r: Replayed, observer: str, signal: str, low: float, high: float) -> pd.DataFrame:
+def excerpt(r: Replay, observer: str, signal: str, low: float, high: float) -> pd.DataFrame:
     """Return every tick of a short time [s]: t, estimate and sigma of one observer, truth and smoothed (NaN: unknown)."""
-    smoothed, out = _smoothed(r, signal), []
+    smoothed_states, out = _read_smoothed(r, signal), []
     for part in parts(r.folder / ESTIMATES, _columns(r, observer, signal)):
         part = part[part.t.between(low, high)]
-        found = _states(r, part, observer, signal, smoothed)
+        frame = _states(r, part, observer, signal, smoothed_states)
         unknown = np.full(len(part), np.nan)
-        found["truth"] = part[signal] if signal in r.truth else unknown
-        found["smoothed"] = unknown if smoothed is None else smoothed[part.index]
-        out.append(found)
+        frame["truth"] = part[signal] if signal in r.truth else unknown
+        frame["smoothed"] = unknown if smoothed_states is None else smoothed_states[part.index]
+        out.append(frame)
     return pd.concat(out, ignore_index=True)
 
 
-def reference(r: Replayed, signal: str, kind: str) -> pd.DataFrame:
+def reference(r: Replay, signal: str, kind: str) -> pd.DataFrame:
     """Return the thinned true (kind "truth") or smoothed ("smoothed") states: t, value."""
-    smoothed, out = _smoothed(r, signal), []
+    smoothed_states, out = _read_smoothed(r, signal), []
     for part in parts(r.folder / ESTIMATES, ["t", *([signal] if kind == "truth" else [])]):
-        value = part[signal].to_numpy() if kind == "truth" else np.asarray(smoothed)[part.index]
+        value = part[signal].to_numpy() if kind == "truth" else np.asarray(smoothed_states)[part.index]
         places = extremes(np.floor(part.t.to_numpy() / r.end * BINS), value)
         out.append(pd.DataFrame({"t": part.t.to_numpy()[places], "value": value[places]}))
     return pd.concat(out, ignore_index=True)
 
 
-def measured(r: Replayed, channel: str, low: float = -np.inf, high: float = np.inf) -> pd.DataFrame:
+def measured(r: Replay, channel: str, low: float = -np.inf, high: float = np.inf) -> pd.DataFrame:
     """Return the thinned measurements of a channel that were taken in a time [s]: sampled, value."""
     out = []
     for part in parts(r.folder / INNOVATIONS, ["channel", "sampled", "value"]):
@@ -175,13 +175,13 @@ def measured(r: Replayed, channel: str, low: float = -np.inf, high: float = np.i
 class Innovations(NamedTuple):
     """What the innovations of an observer in one channel show."""
 
-    thinned: pd.DataFrame  # arrived, innovation, sigma
+    samples: pd.DataFrame  # arrived, innovation, sigma
     many: int
     outside: float  # share beyond two standard deviations
     autocorrelation: Floats  # at lags 1, 2, ...
 
 
-def innovations(r: Replayed, observer: str, channel: str) -> Innovations:
+def innovations(r: Replay, observer: str, channel: str) -> Innovations:
     """Return the innovations of an observer in one channel."""
     nu, sigma = f"{observer}.innovation", f"{observer}.innovation.sigma"
     sums, out, outside = innovation_tests.Sums(), [], 0
@@ -198,7 +198,7 @@ def innovations(r: Replayed, observer: str, channel: str) -> Innovations:
     return Innovations(pd.concat(out, ignore_index=True), many, outside / many if many else np.nan, r_h)
 
 
-def log_likelihood(r: Replayed, observer: str) -> pd.DataFrame:
+def log_likelihood(r: Replay, observer: str) -> pd.DataFrame:
     """Return the mean log-likelihood of a measured value in each of PERIODS parts of time: t (its middle), value."""
     nu, sigma = f"{observer}.innovation", f"{observer}.innovation.sigma"
     sums = np.zeros((2, PERIODS))

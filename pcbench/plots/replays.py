@@ -16,7 +16,7 @@ from pcbench.plots import replay_frames
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
 from pcbench.plots.palette import GRID, PLANT, SOFT, LineLook, pale, styles
-from pcbench.plots.replay_frames import Innovations, Replayed
+from pcbench.plots.replay_frames import Innovations, Replay
 from pcbench.statistics import Z95
 
 WIDE = 1.45  # columns of the paper
@@ -27,29 +27,29 @@ DOT = 6.0  # points^2
 BAND = Patch(color=GRID, label="95 % band")
 
 
-def states(r: Replayed, signal: str, paper: Paper = PAPER) -> Figure:
+def states(r: Replay, signal: str, paper: Paper = PAPER) -> Figure:
     """Return one signal over time, tick by tick over a short time, and its error, with the bands of the observers."""
     look, name = lines(r.observers), f"{signal.replace('_', ' ')}"
     unit, minus = f"[{r.units[signal]}]", "true" if signal in r.truth else "smoothed"
     every = {observer: replay_frames.states(r, observer, signal) for observer in r.observers}
-    known = any(each.error.notna().any() for each in every.values())
+    has_errors = any(each.error.notna().any() for each in every.values())
     low, high = excerpt_of(r)
-    with sheet(paper, "", panels=2 + known, width=WIDE * paper.width) as (figure, axes):
-        whole, part, *below = axes
+    with sheet(paper, "", panels=2 + has_errors, width=WIDE * paper.width) as (figure, axes):
+        overview, part, *below = axes
         for ax in axes:
             set_limits(ax, "x", *((low, high) if ax is part else (0.0, r.end)))
         axes[-1].set_xlabel("t [s]")
-        whole.set_title(f"{name} {unit}")
+        overview.set_title(f"{name} {unit}")
         part.set_title(f"{name} from {span(low, high)} {unit}")
         values = [_late(r, every[observer]).estimate for observer in r.scale]
         for kind in ("truth", "smoothed"):
             if signal in getattr(r, kind):
-                found = replay_frames.reference(r, signal, kind)
-                _draw_reference(whole, found, kind)
-                values.append(found.value)
+                reference = replay_frames.reference(r, signal, kind)
+                _draw_reference(overview, reference, kind)
+                values.append(reference.value)
         for observer, each in every.items():
-            whole.plot(each.t, each.estimate, **look[observer])
-        set_range(whole, "y", pd.concat(values), log=False)
+            overview.plot(each.t, each.estimate, **look[observer])
+        set_range(overview, "y", pd.concat(values), log=False)
         _draw_excerpt(part, r, signal, look, low, high)
         for ax in below:
             ax.set_title(f"{minus} minus estimated {name} {unit}")
@@ -57,7 +57,7 @@ def states(r: Replayed, signal: str, paper: Paper = PAPER) -> Figure:
     return figure
 
 
-def excerpt_of(r: Replayed) -> tuple[float, float]:
+def excerpt_of(r: Replay) -> tuple[float, float]:
     """Return the short time [s] in the middle of a recording that is drawn tick by tick."""
     wide = min(max(EXCERPT * r.end / max(r.summary["rows"], 1), 20 * r.summary["dt"]), r.end)
     return 0.5 * (r.end - wide), 0.5 * (r.end + wide)
@@ -69,21 +69,21 @@ def span(low: float, high: float) -> str:
     return f"{low:.{digits}f} s to {high:.{digits}f} s"
 
 
-def _late(r: Replayed, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:
+def _late(r: Replay, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:
     """Return the rows after the initial transient, which set the scale: what goes farther before leaves the picture."""
     return rows[rows[time] >= min(r.summary["steady_start"], 0.5 * r.end)]
 
 
-def _draw_reference(ax: Axes, found: pd.DataFrame, kind: str) -> None:
+def _draw_reference(ax: Axes, frame: pd.DataFrame, kind: str) -> None:
     """Draw the true or the smoothed states below everything else."""
-    known = found[found.value.notna()]
+    rows = frame[frame.value.notna()]
     if kind == "truth":
-        ax.plot(known.t, known.value, color=pale(PLANT, 0.68), linewidth=3.0, zorder=1.6, label="truth")
+        ax.plot(rows.t, rows.value, color=pale(PLANT, 0.68), linewidth=3.0, zorder=1.6, label="truth")
     else:
-        ax.plot(known.t, known.value, color=SOFT, linewidth=1.0, linestyle=(0, (1, 1.2)), zorder=1.7, label="smoothed")
+        ax.plot(rows.t, rows.value, color=SOFT, linewidth=1.0, linestyle=(0, (1, 1.2)), zorder=1.7, label="smoothed")
 
 
-def _draw_excerpt(ax: Axes, r: Replayed, signal: str, look: Mapping[str, LineLook], low: float, high: float) -> None:
+def _draw_excerpt(ax: Axes, r: Replay, signal: str, look: Mapping[str, LineLook], low: float, high: float) -> None:
     """Draw some ticks of all observers with their bands, and what was measured."""
     every = {observer: replay_frames.excerpt(r, observer, signal, low, high) for observer in look}
     first, values = next(iter(every.values())), []
@@ -109,26 +109,26 @@ def _fill(ax: Axes, t: pd.Series, low: pd.Series, high: pd.Series, look: LineLoo
     ax.fill_between(t, low, high, color=look["color"], alpha=SHADE, linewidth=0, zorder=1.2, label=label)
 
 
-def _draw_errors(ax: Axes, r: Replayed, every: Mapping[str, pd.DataFrame], look: Mapping[str, LineLook]) -> None:
+def _draw_errors(ax: Axes, r: Replay, every: Mapping[str, pd.DataFrame], look: Mapping[str, LineLook]) -> None:
     """Draw the errors of all observers with their bands."""
     ax.axhline(0.0, color=SOFT, linewidth=0.6, zorder=1)
-    shown = []
+    values = []
     for observer, each in every.items():
         ax.plot(each.t[each.error.notna()], each.error.dropna(), **look[observer])
         late = _late(r, each)
-        shown += [late.error] if observer in r.scale else []
+        values += [late.error] if observer in r.scale else []
         if len(look) <= FEW and each.sigma.notna().any():
             _fill(ax, each.t, -Z95 * each.sigma, Z95 * each.sigma, look[observer])
-            shown.append(pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max())
-    set_range(ax, "y", pd.concat(shown), log=False)
+            values.append(pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max())
+    set_range(ax, "y", pd.concat(values), log=False)
 
 
-def innovations(r: Replayed, channel: str, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+def innovations(r: Replay, channel: str, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
     """Return the innovations of a channel over the time of arrival, one panel per observer, with their 95 % bands."""
     unit = unit_of(r, channel)
     with sheet(paper, "", panels=len(every), width=WIDE * paper.width, keys=[BAND]) as (figure, axes):
-        for ax, (observer, found) in zip(axes, every.items(), strict=True):
-            rows, colour = found.thinned, styles(r.observers)[observer].colour
+        for ax, (observer, stats) in zip(axes, every.items(), strict=True):
+            rows, colour = stats.samples, styles(r.observers)[observer].colour
             set_limits(ax, "x", 0.0, r.end)
             band, late = Z95 * rows.sigma, _late(r, rows, "arrived")
             ends = pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max()
@@ -140,16 +140,16 @@ def innovations(r: Replayed, channel: str, every: Mapping[str, Innovations], pap
     return figure
 
 
-def unit_of(r: Replayed, channel: str) -> str:
+def unit_of(r: Replay, channel: str) -> str:
     """Return the unit of a channel in brackets."""
     unit = next(each["unit"] for each in r.summary["outputs"] if each["channel"] == channel)
     return f"[{unit or 'unit of the channel'}]"
 
 
-def autocorrelation(r: Replayed, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+def autocorrelation(r: Replay, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
     """Return the autocorrelation of the normalised innovations of a channel, with the 95 % band of white ones."""
-    band = Z95 / np.sqrt(min(found.many for found in every.values()))
-    lags = max(len(found.autocorrelation) for found in every.values())
+    band = Z95 / np.sqrt(min(stats.many for stats in every.values()))
+    lags = max(len(stats.autocorrelation) for stats in every.values())
     with sheet(paper, "", keys=[BAND], width=WIDE * paper.width) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, lags + 1.0)
         set_range(
@@ -166,7 +166,7 @@ def autocorrelation(r: Replayed, every: Mapping[str, Innovations], paper: Paper 
     return figure
 
 
-def log_likelihood(r: Replayed, observers: Sequence[str], paper: Paper = PAPER) -> Figure:
+def log_likelihood(r: Replay, observers: Sequence[str], paper: Paper = PAPER) -> Figure:
     """Return the mean log-likelihood of a measured value over time; a line marks where the held-out part begins."""
     every = {observer: replay_frames.log_likelihood(r, observer) for observer in observers}
     with sheet(paper, "", width=WIDE * paper.width) as (figure, (ax,)):
@@ -177,6 +177,6 @@ def log_likelihood(r: Replayed, observers: Sequence[str], paper: Paper = PAPER) 
         ax.axvline(start, color=SOFT, linewidth=0.8, linestyle=(0, (4, 2)), label="start of the held-out part")
         for observer, line in lines(r.observers).items():
             if observer in every:
-                known = every[observer].dropna()
-                ax.plot(known.t, known.value, marker=".", markersize=3, **line)
+                rows = every[observer].dropna()
+                ax.plot(rows.t, rows.value, marker=".", markersize=3, **line)
     return figure

@@ -59,29 +59,29 @@ def time(
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
     seed = result.study.first_seed if seed is None else seed
-    whole = one_run.of(result.study, scenario, result.out, cell, seed)
-    if whole is None:
+    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    if run is None:
         raise UserError(
             f"plots.time: got no stored run of {scenario} and observers without their code, expected one of the two; "
             "run the study again from its own file."
         )
-    return draw_run(result, whole, scenario, signal, cell, seed, paper)
+    return draw_run(result, run, scenario, signal, cell, seed, paper)
 
 
 def draw_run(
-    result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
+    result: Result, run: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
     """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
-    part = _with_exact(whole[whole.signal == signal], result, scenario, cell)
+    part = _with_exact(run[run.signal == signal], result, scenario, cell)
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
     names = frames.titles(result, stats)
     at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
     title = ", ".join([title_of_scenario(result.study, scenario), *at, f"seed {seed}"])
-    looped = bool(part.series.str.startswith(one_run.UNDER).any())
-    words = LOOPED if looped else "plant"
-    width, share = (LOOP_WIDTH, LOOP_PALE) if looped else (TRUTH_WIDTH, TRUTH_PALE)
+    is_loop = bool(part.series.str.startswith(one_run.UNDER).any())
+    words = LOOPED if is_loop else "plant"
+    width, share = (LOOP_WIDTH, LOOP_PALE) if is_loop else (TRUTH_WIDTH, TRUTH_PALE)
     plant = Line2D([], [], color=pale(PLANT, share), linewidth=width, label=words)
     has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
     with sheet(paper, title, 1 + has_truth, sharex=True, keys=[plant] * has_truth) as (figure, axes):
@@ -118,54 +118,54 @@ def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) ->
         return part
     signal = part.signal.iloc[0]
     moments = moments[(moments.signal == signal) & moments.observer.isin(set(part.series))]
-    made = {
+    bands = {
         "low": moments["mean"] - NINE * moments["std"],
         "high": moments["mean"] + NINE * moments["std"],
         "rms": np.hypot(moments["mean"], moments["std"]),
     }
     rows = [
         pd.DataFrame({"t": moments.t, "series": moments.observer, "kind": kind, "value": value, "signal": signal})
-        for kind, value in made.items()
+        for kind, value in bands.items()
         if kind in set(part.kind)
     ]
-    replaced = part.series.isin(set(moments.observer)) & part.kind.isin([*made])
-    return pd.concat([part[~replaced], *rows], ignore_index=True)
+    is_replaced = part.series.isin(set(moments.observer)) & part.kind.isin([*bands])
+    return pd.concat([part[~is_replaced], *rows], ignore_index=True)
 
 
 def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> None:
     low, high = ax.get_ylim()
-    for (series, kind), mine in part.groupby(["series", "kind"], sort=False):
+    for (series, kind), rows in part.groupby(["series", "kind"], sort=False):
         observer = str(series).removeprefix(one_run.UNDER)
         if kind == "truth":
-            looped = observer in look
-            width, share = (LOOP_WIDTH, LOOP_PALE) if looped else (TRUTH_WIDTH, TRUTH_PALE)
-            colour, label = look[observer]["color"] if looped else PLANT, f"_{series}" if looped else "plant"
-            ax.plot(mine.t, mine.value, color=pale(colour, share), linewidth=width, label=label, zorder=1.6)
+            is_loop = observer in look
+            width, share = (LOOP_WIDTH, LOOP_PALE) if is_loop else (TRUTH_WIDTH, TRUTH_PALE)
+            colour, label = look[observer]["color"] if is_loop else PLANT, f"_{series}" if is_loop else "plant"
+            ax.plot(rows.t, rows.value, color=pale(colour, share), linewidth=width, label=label, zorder=1.6)
         elif kind == "measured":
-            ax.step(mine.t, mine.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
+            ax.step(rows.t, rows.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
         elif kind == "target":
-            dotted = (0, (1.0, 1.6))
-            ax.plot(mine.t, mine.value, color=SOFT, linestyle=dotted, linewidth=1.2, zorder=1.5, label="set point")
+            dash = (0, (1.0, 1.6))
+            ax.plot(rows.t, rows.value, color=SOFT, linestyle=dash, linewidth=1.2, zorder=1.5, label="set point")
         elif kind == "estimate":
-            near = mine.value.where(mine.value.between(low - (high - low), high + (high - low)))
-            ax.plot(mine.t, near, **look[observer])
+            near = rows.value.where(rows.value.between(low - (high - low), high + (high - low)))
+            ax.plot(rows.t, near, **look[observer])
         elif kind in one_run.ENDS:
             line = look[observer]
-            ax.plot(mine.t, mine.value, color=line["color"], linewidth=0.8, alpha=0.8, zorder=1.4, label=INTERVAL)
+            ax.plot(rows.t, rows.value, color=line["color"], linewidth=0.8, alpha=0.8, zorder=1.4, label=INTERVAL)
 
 
 def _draw_errors(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook], log: bool) -> None:
     """Draw errors of every observer: with their band, or on a logarithmic axis as their size."""
     floor = ax.get_ylim()[0] if log else -np.inf
     for observer, line in look.items():
-        mine = dict(iter(part[part.series == observer].groupby("kind")))
-        for k in ((1,) if log else (-3, 3)) if "sigma" in mine else ():  # of the assumed standard deviations
-            ax.plot(mine["sigma"].t, np.maximum(k * mine["sigma"].value, floor), color=line["color"], linewidth=0.6,
+        kinds = dict(iter(part[part.series == observer].groupby("kind")))
+        for k in ((1,) if log else (-3, 3)) if "sigma" in kinds else ():  # of the assumed standard deviations
+            ax.plot(kinds["sigma"].t, np.maximum(k * kinds["sigma"].value, floor), color=line["color"], linewidth=0.6,
                     alpha=0.8, zorder=1.4, label=SIGMA)  # fmt: skip
-        if "low" in mine and len(look) <= BANDS and not log:
-            ax.fill_between(mine["low"].t, mine["low"].value, mine["high"].value, color=line["color"], alpha=0.14,
+        if "low" in kinds and len(look) <= BANDS and not log:
+            ax.fill_between(kinds["low"].t, kinds["low"].value, kinds["high"].value, color=line["color"], alpha=0.14,
                             linewidth=0)  # fmt: skip
-        rows = mine.get("rms", mine["error"]) if log else mine["error"]
+        rows = kinds.get("rms", kinds["error"]) if log else kinds["error"]
         ax.plot(rows.t, np.maximum(np.abs(rows.value), floor) if log else rows.value, **line)
     if not log:
         ax.axhline(0, color=SOFT, linewidth=0.6, zorder=1)
@@ -179,8 +179,8 @@ def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
 
 def _range(part: pd.DataFrame) -> tuple[float, float]:
     """Return between what the plant and its target are drawn, with room; what runs away leaves the picture."""
-    mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
-    low, high = float(mine.min()), float(mine.max())
+    values = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
+    low, high = float(values.min()), float(values.max())
     near = part.value[part.kind.isin(["estimate", *one_run.ENDS]) & np.isfinite(part.value)]
     room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
     best = _best_estimate(part)
@@ -199,8 +199,8 @@ def _best_estimate(part: pd.DataFrame) -> pd.Series:
     errors = part[part.kind == "error"].groupby("series", sort=False).value
     with np.errstate(over="ignore"):  # of one that runs away
         size = errors.apply(lambda values: float(np.sqrt(np.mean(np.square(values.to_numpy())))))
-    mine = part[(part.kind == "estimate") & (part.series == size.idxmin())] if size.notna().any() else part[:0]
-    return mine.value[np.isfinite(mine.value)]
+    rows = part[(part.kind == "estimate") & (part.series == size.idxmin())] if size.notna().any() else part[:0]
+    return rows.value[np.isfinite(rows.value)]
 
 
 def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
@@ -222,10 +222,10 @@ def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
         inside = values[values > 0]
         set_range(ax, "y", inside.clip(lower=DEPTH * inside.max()), log=True)
         return True
-    shown = part[part.kind.isin(["error", "low", "high"])].value
-    believed = 3 * part.value[(part.kind == "sigma") & (part.t >= STEADY * part.t.max())]
-    shown = pd.concat([shown, believed, -believed])
-    set_range(ax, "y", [*shown[np.isfinite(shown) & (shown.abs() <= most)], 0.0], log=False)
+    visible = part[part.kind.isin(["error", "low", "high"])].value
+    sigma_band = 3 * part.value[(part.kind == "sigma") & (part.t >= STEADY * part.t.max())]
+    visible = pd.concat([visible, sigma_band, -sigma_band])
+    set_range(ax, "y", [*visible[np.isfinite(visible) & (visible.abs() <= most)], 0.0], log=False)
     return False
 
 
@@ -238,22 +238,22 @@ def nees(
     have `consistency = true`, or if none of its observers has a covariance.
     """
     scenario = frames.scenario_of(result, scenario)
-    whole = one_run.of(result.study, scenario, result.out, cell, seed)
-    if whole is None or not one_run.has_nees(whole):
+    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    if run is None or not one_run.has_nees(run):
         raise UserError(
             f"plots.nees: got runs of {scenario} without NEES, expected consistency = true in [options.scenario] and an "
             "observer with a covariance, such as kf; run the study with both."
         )
     seed = result.study.first_seed if seed is None else seed
-    return drawn_nees(result, whole, scenario, cell, seed, paper)
+    return draw_nees(result, run, scenario, cell, seed, paper)
 
 
-def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
+def draw_nees(result: Result, run: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
     """Draw the NEES of a frame of `one_run.of`."""
-    stats, part = frames.rows(result, scenario, None, "mae"), whole[whole.kind.str.startswith("nees")]
+    stats, part = frames.rows(result, scenario, None, "mae"), run[run.kind.str.startswith("nees")]
     names = frames.titles(result, stats)
     at = (frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items())
-    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(whole, seed)])
+    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(run, seed)])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])
@@ -263,9 +263,9 @@ def drawn_nees(result: Result, whole: pd.DataFrame, scenario: str, cell: int, se
         ax.fill_between(low.index, low, high, color=GRID, linewidth=0, zorder=1)
         ax.axhline(1.0, color=SOFT, linewidth=0.6, zorder=1.2)
         for observer, line in lines(stats.observer).items():
-            mine = part[(part.series == observer) & (part.kind == "nees")]
-            if len(mine):
-                ax.plot(mine.t, mine.value.where(mine.value > 0), **line)
+            rows = part[(part.series == observer) & (part.kind == "nees")]
+            if len(rows):
+                ax.plot(rows.t, rows.value.where(rows.value > 0), **line)
     return figure
 
 
@@ -275,18 +275,18 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
     For a long recording, an even selection of samples is drawn. Raises UserError if no sample arrived.
     """
     survey: Survey = table.attrs["survey"]
-    kept = {
-        name: seen.delays.selection.round(DIGITS)
-        for name, seen in survey.channels.items()
-        if len(seen.delays.selection)
+    selections = {
+        name: channel.delays.selection.round(DIGITS)
+        for name, channel in survey.channels.items()
+        if len(channel.delays.selection)
     }
-    if not kept:
+    if not selections:
         raise UserError(
             f"plots.delays: got a recording {table.attrs['name']} without arrivals, expected at least one; use another one."
         )
-    late = np.concatenate([each[:, 1] for each in kept.values()])
+    late = np.concatenate([each[:, 1] for each in selections.values()])
     edges = edges_of(late)
-    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in kept.items()}
+    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in selections.items()}
     with sheet(paper, "", panels=2) as (figure, (over_time, often)):
         set_limits(over_time, "x", 0.0, max(survey.end - survey.start, 1e-9))
         for ax, side in ((over_time, "y"), (often, "x")):
@@ -294,10 +294,10 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
         set_range(often, "y", [0.0, *np.concatenate(list(shares.values()))], log=False)
         over_time.set(title="delay [s]", xlabel="time since the start [s]")
         often.set(title="share of samples", xlabel="delay [s]")
-        for name, line in lines(kept).items():
-            t, delay = kept[name].T
+        for name, line in lines(selections).items():
+            t, delay = selections[name].T
             over_time.scatter(t - survey.start, delay, s=2, color=line["color"], linewidths=0, rasterized=True)
-            label = name if len(kept) > 1 else None
+            label = name if len(selections) > 1 else None
             often.stairs(shares[name], edges, color=line["color"], linewidth=1.2, label=label)
     return figure
 
@@ -319,16 +319,16 @@ def delay_profiles(found: Sequence[ChannelDelay], *, paper: Paper = PAPER) -> Fi
     ):
         for ax, each in zip(axes, found, strict=True):
             delays, drops = np.array(each.delays), np.array(each.drops)
-            shown = drops <= max(DROP, np.sort(drops)[min(4, len(drops) - 1)])
-            set_range(ax, "x", [*delays[shown], each.low, each.high])
-            set_range(ax, "y", [0.0, *drops[shown]], log=False)
+            mask = drops <= max(DROP, np.sort(drops)[min(4, len(drops) - 1)])
+            set_range(ax, "x", [*delays[mask], each.low, each.high])
+            set_range(ax, "y", [0.0, *drops[mask]], log=False)
             ax.axvspan(each.low, each.high, color=GRID, linewidth=0, zorder=1)
             ax.axvline(each.estimate, color=SOFT, linewidth=0.6, zorder=1.2)
             colour = LOOKS["kf"].colour
             if len(delays) > 3:
-                fine = np.linspace(delays[shown][0], delays[shown][-1], 200)
+                fine = np.linspace(delays[mask][0], delays[mask][-1], 200)
                 ax.plot(fine, CubicSpline(delays, drops)(fine), color=colour, linewidth=1.2)
-            ax.plot(delays[shown], drops[shown], color=colour, marker="o", markersize=3, linestyle="none")
+            ax.plot(delays[mask], drops[mask], color=colour, marker="o", markersize=3, linestyle="none")
             ax.invert_yaxis()
             low, best, high = (layout.number(v) for v in (each.low, each.estimate, each.high))
             ax.set(title=f"{each.channel}: {best} s, 95 % interval {low} to {high} s", xlabel="delay [s]")

@@ -61,7 +61,7 @@ def best(found: Ratios) -> str:
     """Return which observer is the best, and which are significantly worse, in a sentence with runs and method."""
     others, runs = found.rows[found.rows.observer != found.best], int(found.rows.n.max())
     methods = ["95 % paired intervals"] * found.intervals
-    methods += ["paired t-test with Holm's correction at 5 %"] if found.tested else ["runs do not vary"]
+    methods += ["paired t-test with Holm's correction at 5 %"] if found.has_p else ["runs do not vary"]
     worse, tied = (others.observer[which].to_list() for which in (others.worse, ~others.worse.astype(bool)))
     beaten = f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}" if tied else "every other observer is"
     beaten = beaten if worse else "no other observer is"
@@ -311,7 +311,7 @@ def costs(found: pd.DataFrame) -> str:
     return f"Multiplications of one run, and memory: {each}."
 
 
-def borne(found: pd.DataFrame) -> str:
+def tolerances(found: pd.DataFrame) -> str:
     """Return the value of each axis up to which observers are better than model-only."""
 
     def most(value: float) -> str:

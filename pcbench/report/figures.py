@@ -67,7 +67,7 @@ def cell_of(result: Result, scenario: str, shown: FigureOptions) -> int:
     if result.study.vary == "one-at-a-time":  # the first values of all axes
         return 0
     signals = frames.signals_with_metric(result, scenario, shown.signals, shown.metric)
-    return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
+    return frames.key_cell(result, scenario, signals[0], shown.metric) if signals else 0
 
 
 class Place(NamedTuple):
@@ -86,7 +86,7 @@ def places(result: Result, scenarios: list[str], shown: FigureOptions, progress:
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
         costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
-        runs = one_run.several(result.study, at, result.out, shown.seed, progress)
+        runs = one_run.of_scenarios(result.study, at, result.out, shown.seed, progress)
         return {name: Place(result, name, cell, runs[name], costs[name].result(), shown) for name, cell in at.items()}
 
 
@@ -122,7 +122,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.bands_note(figure))
     if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
         alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
-        text = captions.borne(fault_tolerance.borne(alone))
+        text = captions.tolerances(fault_tolerance.tolerances(alone))
         figure = plots.bearing(result, **here)
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
@@ -184,7 +184,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if shown.seed is None else shown.seed
         figure, note = (
-            time_series.drawn_nees(result, run, scenario, cell, seed, shown.paper),
+            time_series.draw_nees(result, run, scenario, cell, seed, shown.paper),
             captions.honesty_note(run),
         )
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), note)

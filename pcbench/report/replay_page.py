@@ -11,7 +11,7 @@ from pcbench.errors import unknown
 from pcbench.plots import replay_frames, replays
 from pcbench.plots.layout import PAPER, Paper, number
 from pcbench.plots.palette import styles
-from pcbench.plots.replay_frames import Replayed
+from pcbench.plots.replay_frames import Replay
 from pcbench.report import captions
 from pcbench.report import page as study_page
 from pcbench.report.captions import number as short
@@ -51,7 +51,7 @@ class Section(NamedTuple):
     pictures: list[Picture]
 
 
-def page(r: Replayed, signals: list[str] | None = None) -> str:
+def page(r: Replay, signals: list[str] | None = None) -> str:
     """Return the page's HTML, with some signals (None or empty: all); raise UserError for an unknown one."""
     about, parts = r.summary, []
     for each in sections(r, signals, PAPER):
@@ -70,24 +70,24 @@ def page(r: Replayed, signals: list[str] | None = None) -> str:
     )
 
 
-def sections(r: Replayed, signals: list[str] | None, paper: Paper) -> Iterator[Section]:
+def sections(r: Replay, signals: list[str] | None, paper: Paper) -> Iterator[Section]:
     """Yield the parts of the page with their figures, drawn on `paper`; arguments are those of `page`."""
     for name in signals or ():
         if name not in r.units:
             raise unknown("--signal", "signal of the replay", name, r.units)
-    if r.judged:
+    if r.with_innovations:
         picture = [_likelihood(r, paper)] if r.summary["rows"] else []
         yield Section("innovations", "Innovation tests", _tests(r), picture)
     chosen = [name for name in r.units if not signals or name in signals]
     yield Section("states", "States", _errors(r, chosen), [_states(r, name, paper) for name in chosen])
     for i, channel in enumerate(each["channel"] for each in r.summary["outputs"]):
-        found = {o: each for o in r.judged if (each := replay_frames.innovations(r, o, channel)).many}
+        found = {o: each for o in r.with_innovations if (each := replay_frames.innovations(r, o, channel)).many}
         if found:
             name = channel if PLAIN.fullmatch(channel) else str(i)
             yield Section(f"channel-{name}", f"Channel {channel}", [], list(_channel(r, channel, name, found, paper)))
 
 
-def _tests(r: Replayed) -> list[Table]:
+def _tests(r: Replay) -> list[Table]:
     """Return the innovation tests of all measurements and, of several channels, of each."""
     heads = ["NIS", "95 % band", "verdict", "ljung_box_p"]
 
@@ -116,7 +116,7 @@ def _tests(r: Replayed) -> list[Table]:
     return out
 
 
-def _errors(r: Replayed, signals: list[str]) -> list[Table]:
+def _errors(r: Replay, signals: list[str]) -> list[Table]:
     """Return the errors against the true states, and the distances to the smoother."""
     out = []
     since = f"From {r.summary['steady_start']:g} s on (steady_start)."
@@ -140,19 +140,19 @@ def _text(value: float | None) -> str:
     return "-" if value is None else short(value)
 
 
-def _likelihood(r: Replayed, paper: Paper) -> Picture:
+def _likelihood(r: Replay, paper: Paper) -> Picture:
     rows = [f"{row['observer']} {_text(row['log_likelihood_held_out'])}" for row in r.summary["innovations"]]
     return Picture(
         name="likelihood",
         title="Log-likelihood over time",
-        figure=replays.log_likelihood(r, r.judged, paper),
+        figure=replays.log_likelihood(r, r.with_innovations, paper),
         text=f"Mean over the held-out part: {', '.join(rows)}.",
         note=f"Means over {replay_frames.PERIODS} equal parts of the time. Larger is better; where it falls, measurements are "
         "far from their predictions.",
     )
 
 
-def _states(r: Replayed, signal: str, paper: Paper) -> Picture:
+def _states(r: Replay, signal: str, paper: Paper) -> Picture:
     known = "true states" if signal in r.truth else "smoothed states" if signal in r.smoothed else ""
     low, high = replays.excerpt_of(r)
     text = f"{signal.replace('_', ' ')} as estimated by {', '.join(r.observers)}, over all {number(r.end)} s and from "
@@ -163,7 +163,7 @@ def _states(r: Replayed, signal: str, paper: Paper) -> Picture:
 
 
 def _channel(
-    r: Replayed, channel: str, name: str, found: dict[str, replay_frames.Innovations], paper: Paper
+    r: Replay, channel: str, name: str, found: dict[str, replay_frames.Innovations], paper: Paper
 ) -> Iterator[Picture]:
     """Yield the figures of a channel; `name` is its name in those of files."""
     said = [f"{o} {short(100 * each.outside)} % of {each.many:,}" for o, each in found.items()]

@@ -81,7 +81,7 @@ def test_scenarios_shown_together_are_those_shown_alone():
     """They share a program; a run is not another's for that."""
     raw = {"name": "t", "scenarios": ["cart/slow", "cart/nominal"], "observers": ["pccebo"]}
     study = parse.parse(raw, "t")
-    together = one_run.several(study, dict.fromkeys(study.scenarios, 0), None)
+    together = one_run.of_scenarios(study, dict.fromkeys(study.scenarios, 0), None)
     assert list(together) == ["cart/slow", "cart/nominal"]
     assert not together["cart/slow"].equals(together["cart/nominal"])
     for name, frame in together.items():

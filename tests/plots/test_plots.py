@@ -104,7 +104,7 @@ def test_an_interval_of_more_seeds_is_that_of_the_table(result):
 
 def test_the_cell_that_tells_most_is_the_one_where_a_sure_winner_is_farthest_ahead(result):
     found = frames.standings(result, metric="mae").set_index("cell")
-    cell = frames.telling(result, metric="mae")
+    cell = frames.key_cell(result, metric="mae")
     assert found.winner[cell] != ""
     assert found.factor[cell] == found.factor[found.winner != ""].max()
 
@@ -114,9 +114,9 @@ def test_where_nobody_surely_wins_the_cell_that_tells_most_is_where_the_most_sur
     alike = [("b", "c", "d"), ("b", "c"), ("b",), ("b",)]
     table = pd.DataFrame({"cell": [0, 1, 2, 3], "winner": "", "factor": 1.0, "alike": alike})
     monkeypatch.setattr(frames, "standings", lambda *_: table)
-    assert frames.telling(None) == 2
+    assert frames.key_cell(None) == 2
     table["winner"], table["factor"] = ["a", "", "", "a"], [1.5, 9.0, 9.0, 1.2]
-    assert frames.telling(None) == 0, "where somebody does, there"
+    assert frames.key_cell(None) == 0, "where somebody does, there"
 
 
 def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():

@@ -138,7 +138,7 @@ def test_without_numbers_no_consistency_is_shown_and_one_observer_is_compared_wi
 
 @pytest.mark.ci
 def test_figures_of_one_observer_show_its_largest_error(loop):
-    assert frames.telling(loop, "ncs-two-state/held", "position") == 1
+    assert frames.key_cell(loop, "ncs-two-state/held", "position") == 1
 
 
 def test_model_mismatch_has_consistency_and_begins_with_the_correct_model():

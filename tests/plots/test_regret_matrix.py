@@ -105,7 +105,7 @@ def test_last_row_is_the_least_error_so_that_columns_can_be_compared(result, pap
     ],
 )
 def test_least_errors_are_short(least, power, words):
-    assert regret_matrix._scaled(least) == (power, words)
+    assert regret_matrix._scale_errors(least) == (power, words)
 
 
 @pytest.mark.ci

@@ -91,7 +91,7 @@ def test_innovations_of_a_channel_are_those_of_the_file(folders, full, channel):
     Q, _ = reference.ljung_box(z, lags)
     weights = len(z) * (len(z) + 2) / (len(z) - np.arange(1, lags + 1))
     assert found.autocorrelation**2 @ weights == pytest.approx(Q, rel=1e-10)
-    assert {found.thinned.innovation.max(), found.thinned.innovation.min()} == {nu.max(), nu.min()}
+    assert {found.samples.innovation.max(), found.samples.innovation.min()} == {nu.max(), nu.min()}
 
 
 @pytest.mark.ci

@@ -165,7 +165,7 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
         assert int(wins) == won.get(observer, 0)
         assert re.search(rf"{observer} {wins}(</strong>)? of 8", text), "and so says the summary"
     assert f"{won.max()} of 8 grid points" in text
-    cell = frames.telling(result, "cart/white", "position", "steady_rmse")
+    cell = frames.key_cell(result, "cart/white", "position", "steady_rmse")
     for row in mine[mine.cell == cell].to_dict("records"):
         assert f">{number_format.interval(row)}</td>" in text.replace("&nbsp;", " ")
     assert "8 combinations of axis values" in text
@@ -180,7 +180,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     tips = re.findall(r"<title>(.*?), sampling|<title>(.*?), delay", said)
     assert len(tips) == len(found) == 8
     assert sum("significantly" in a + b for a, b in tips) == (found.winner != "").sum()
-    cell = frames.telling(result, "cart/white", "position", "steady_rmse")
+    cell = frames.key_cell(result, "cart/white", "position", "steady_rmse")
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p

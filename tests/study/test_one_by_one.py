@@ -48,7 +48,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
         ("b", 1.0, "x", 0.5), ("b", 0.2, "x", 3.0), ("b", 4.0, "x", 0.9),
         ("b", 1.0, "y", 1.5), ("b", 0.2, "y", 0.9), ("b", 4.0, "y", 0.9),
     ]  # fmt: skip
-    found = fault_tolerance.borne(pd.DataFrame(rows, columns=["axis", "value", "observer", "part"]))
+    found = fault_tolerance.tolerances(pd.DataFrame(rows, columns=["axis", "value", "observer", "part"]))
     each = {
         (r.axis, r.observer): found[(found.axis == r.axis) & (found.observer == r.observer)].most.tolist()
         for r in found.itertuples()
@@ -57,7 +57,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
     assert each["a", "y"] == [1.0]
     assert each["b", "x"] == [float("inf"), pytest.approx(1.0 - 0.8 * 0.5 / 2.5)]
     assert np.isnan(each["b", "y"]).all()
-    assert captions.borne(found).startswith(
+    assert captions.tolerances(found).startswith(
         "Better than model-only: a: x up to 2, y up to 1; b: x everywhere, x up to 0.84"
     )
 
@@ -140,7 +140,9 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
         *errors, nees = map(float, said.split(" | "))
         np.testing.assert_allclose([mean[o, "steady_rmse", cell] for o in LABELS], errors, rtol=0.01)
         assert mean["kf", "nees", cell] == pytest.approx(nees, rel=0.01)
-    found = fault_tolerance.borne(fault_tolerance.part_of_alone(result, "cart/gaussian", "position", "steady_rmse"))
+    found = fault_tolerance.tolerances(
+        fault_tolerance.part_of_alone(result, "cart/gaussian", "position", "steady_rmse")
+    )
     bounded = found[np.isfinite(found.most)].set_index(["axis", "observer"]).most
     rows = re.findall(r"^\| `(\w+)` \[\w+\] \| (.*) \|$", page, re.M)
     told = {
