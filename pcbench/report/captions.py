@@ -47,83 +47,85 @@ def number(value: float) -> str:
     return exact(float(f"{value:.3g}")) if np.isfinite(value) else "-"
 
 
-def ratios(found: Ratios) -> str:
+def ratios(table: Ratios) -> str:
     """Return the ratio of each observer to the best, with its interval and p-value."""
-    said = []
-    for row in cast(list[Row], found.rows.to_dict("records")):
-        ends = "" if found.exact else f" ({number(row['ci_low'])} to {number(row['ci_high'])})"
-        ratio = f" {number(row['ratio'])}{ends}" if np.isfinite(row["ratio"]) and row["observer"] != found.best else ""
-        said.append(f"{row['observer']}{ratio}, {verdict(row, found)}")
-    return f"Ratios to {found.best}: {'; '.join(said)}."
+    texts = []
+    for row in cast(list[Row], table.rows.to_dict("records")):
+        ends = "" if table.exact else f" ({number(row['ci_low'])} to {number(row['ci_high'])})"
+        ratio = f" {number(row['ratio'])}{ends}" if np.isfinite(row["ratio"]) and row["observer"] != table.best else ""
+        texts.append(f"{row['observer']}{ratio}, {verdict(row, table)}")
+    return f"Ratios to {table.best}: {'; '.join(texts)}."
 
 
-def best(found: Ratios) -> str:
+def best(table: Ratios) -> str:
     """Return which observer is the best, and which are significantly worse, in a sentence with runs and method."""
-    others, runs = found.rows[found.rows.observer != found.best], int(found.rows.n.max())
-    methods = ["95 % paired intervals"] * found.intervals
-    methods += ["paired t-test with Holm's correction at 5 %"] if found.has_p else ["runs do not vary"]
-    worse, tied = (others.observer[which].to_list() for which in (others.worse, ~others.worse.astype(bool)))
-    beaten = f"{_joined(worse)} {'is' if len(worse) == 1 else 'are'}" if tied else "every other observer is"
+    rest, runs = table.rows[table.rows.observer != table.best], int(table.rows.n.max())
+    methods = ["95 % paired intervals"] * table.intervals
+    methods += ["paired t-test with Holm's correction at 5 %"] if table.has_p else ["runs do not vary"]
+    worse, ties = (rest.observer[which].to_list() for which in (rest.worse, ~rest.worse.astype(bool)))
+    beaten = f"{_join(worse)} {'is' if len(worse) == 1 else 'are'}" if ties else "every other observer is"
     beaten = beaten if worse else "no other observer is"
     method = ", ".join([f"{runs:,} runs", *methods])
-    less = others.observer[others.ratio < 1 / SAME].to_list()
-    first = f"{found.best} has the {'fewest diverged runs' if less else 'least error'}"
-    if found.exact:
+    less = rest.observer[rest.ratio < 1 / SAME].to_list()
+    first = f"{table.best} has the {'fewest diverged runs' if less else 'least error'}"
+    if table.exact:
         return f"{first}, and {beaten} worse (exact values)."
     elif runs < 2:
         return f"{first}; one run shows no significance."
     beaten += " significantly worse"
-    if tied and worse:
-        beaten += f", {_joined(tied)} {'is' if len(tied) == 1 else 'are'} not"
+    if ties and worse:
+        beaten += f", {_join(ties)} {'is' if len(ties) == 1 else 'are'} not"
     beaten += (
-        f"; {_joined(less)} {'have' if less[1:] else 'has'} less error in the runs that do not diverge" if less else ""
+        f"; {_join(less)} {'have' if less[1:] else 'has'} less error in the runs that do not diverge" if less else ""
     )
     return f"{first}, and {beaten} ({method})."
 
 
-def regrets(found: Regrets) -> tuple[str, str]:
+def regrets(matrix: Regrets) -> tuple[str, str]:
     """Return the largest ratios and the least errors, and which observer has the smallest ratio, in a sentence."""
-    largest = found.largest
+    largest = matrix.largest
     text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
-    if found.unit:
-        text += f" Least errors: {', '.join(f'{s} {_format_value(v, found.unit)}' for s, v in found.least.items())}."
-    first, method = found.observers[0], describe_runs(found.runs)
-    if found.ties.any():
-        test = " by the paired t-test with Holm's correction at 5 %" if found.runs > 1 else ""
-        method += f", hatched: {found.tie}{test}"
+    if matrix.unit:
+        text += f" Least errors: {', '.join(f'{s} {_format_value(v, matrix.unit)}' for s, v in matrix.least.items())}."
+    first, method = matrix.observers[0], describe_runs(matrix.runs)
+    if matrix.ties.any():
+        test = " by the paired t-test with Holm's correction at 5 %" if matrix.runs > 1 else ""
+        method += f", hatched: {matrix.tie}{test}"
     if not np.isfinite(largest[first]):
         return text, f"Each observer diverges in a situation ({method})."
-    many = f"{len(found.situations)} situations"
+    many = f"{len(matrix.situations)} situations"
     if not all(map(np.isfinite, largest.values())):
-        method += "; ∞: every run diverged" if found.runs else "; ∞: the expected value is infinite"
+        method += "; ∞: every run diverged" if matrix.runs else "; ∞: the expected value is infinite"
     if largest[first] < SAME:
-        each = [observer for observer in found.observers if largest[observer] < SAME]
-        note = f"{_joined(each)} {'have' if each[1:] else 'has'} the least error, or one as good, in all {many} ({method})."
+        each = [observer for observer in matrix.observers if largest[observer] < SAME]
+        note = (
+            f"{_join(each)} {'have' if each[1:] else 'has'} the least error, or one as good, in all {many} ({method})."
+        )
     else:
         worst = f"at most {times(largest[first])} the least error in {many}"
         note = f"{first} has the smallest worst case: its error is {worst} ({method})."
-    lost = found.rows[(found.rows.ratio < SAME) & found.rows.worse]  # least error, but not among the best
-    if (found.rows.best & (found.rows.ratio > SAME)).any():
+    rows = matrix.rows[(matrix.rows.ratio < SAME) & matrix.rows.worse]  # least error, but not among the best
+    if (matrix.rows.best & (matrix.rows.ratio > SAME)).any():
         note += " Bold: the best, which has the fewest diverged runs."
-    for observer, mine in lost.groupby("observer", sort=False):
+    for observer, group in rows.groupby("observer", sort=False):
         note += (
             f" Errors are of runs that do not diverge: {observer} diverges significantly more often in "
-            f"{len(mine)} of the situations."
+            f"{len(group)} of the situations."
         )
     return text, note
 
 
-def _joined(names: list[str]) -> str:
+def _join(names: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def medians(part: pd.DataFrame, unit: str) -> str:
     """Return the medians at a grid point."""
-    said = [
+    texts = [
         f"{row['observer']} {_format_value(row['p50'], unit, _absent(row['diverged']))}"
         for row in part.to_dict("records")
     ]
-    return f"Medians: {', '.join(said)}."
+    return f"Medians: {', '.join(texts)}."
 
 
 def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
@@ -132,49 +134,49 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
         isinstance(v, str) or v is None or not isfinite(v) for v in part[axis]
     )  # then they are drawn in their order
     first = part if words else part.sort_values(axis, kind="stable")
-    said = []
-    for observer, mine in first.groupby("observer", sort=False):
-        a, b = mine.iloc[0], mine.iloc[-1]
+    texts = []
+    for observer, group in first.groupby("observer", sort=False):
+        a, b = group.iloc[0], group.iloc[-1]
         ends = [
             f"{_format_value(row['mean'], unit, _absent(row['diverged']))} at {frames.word(axis, row[axis])}"
             for row in (a, b)
         ]
-        said.append(f"{observer}: {' to '.join(ends)}")
-    return "; ".join(said) + "."
+        texts.append(f"{observer}: {' to '.join(ends)}")
+    return "; ".join(texts) + "."
 
 
-def crossed(found: list[Crossing]) -> str:
+def crossings(changes: list[Crossing]) -> str:
     """Return where the best observer changes, with 95 % intervals; empty if it does not."""
     each = (
         f"{c.above} is better than {c.below} above {number(c.value)} ({number(c.low)} to {number(c.high)})"
-        for c in found
+        for c in changes
     )
-    return f"Dotted lines, with 95 % intervals: {'; '.join(each)}." if found else ""
+    return f"Dotted lines, with 95 % intervals: {'; '.join(each)}." if changes else ""
 
 
 def ranges(part: pd.DataFrame, unit: str) -> str:
     """Return the least and the largest value of each observer's map."""
-    said = []
-    for observer, mine in part.groupby("observer", sort=False):
-        found = mine["mean"][np.isfinite(mine["mean"])]
-        known = f"{number(found.min())} to {number(found.max())}" if len(found) else _absent(mine.diverged.sum())
-        said.append(f"{observer} {known}")
-    return f"Ranges{f' [{unit}]' if unit not in ('', '1') else ''}: {', '.join(said)}."
+    texts = []
+    for observer, group in part.groupby("observer", sort=False):
+        finite = group["mean"][np.isfinite(group["mean"])]
+        text = f"{number(finite.min())} to {number(finite.max())}" if len(finite) else _absent(group.diverged.sum())
+        texts.append(f"{observer} {text}")
+    return f"Ranges{f' [{unit}]' if unit not in ('', '1') else ''}: {', '.join(texts)}."
 
 
-def winners(found: pd.DataFrame) -> str:
+def winners(standings: pd.DataFrame) -> str:
     """Return how many grid points each observer wins; if none wins any, which are as good as the best."""
-    counted = found.text.value_counts()
-    names, most = ([], 0) if (found.winner != "").any() else most_often(found.leaders)
-    shared = f" No observer is significantly better than {' and '.join(names)} at {most} of them." if most else ""
-    return f"Of {len(found)} grid points: {', '.join(f'{name} {n}' for name, n in counted.items())}.{shared}"
+    counts = standings.text.value_counts()
+    names, most = ([], 0) if (standings.winner != "").any() else most_often(standings.leaders)
+    ties = f" No observer is significantly better than {' and '.join(names)} at {most} of them." if most else ""
+    return f"Of {len(standings)} grid points: {', '.join(f'{name} {n}' for name, n in counts.items())}.{ties}"
 
 
 def convergence(part: pd.DataFrame) -> str:
     """Return the width of each observer's interval over all runs."""
     last = part.groupby("observer", sort=False).last()
-    said = [f"{o} ± {number(100 * row.half)} % after {int(row.seeds):,} runs" for o, row in last.iterrows()]
-    return f"{', '.join(said)}." if said else "No mean has an interval."
+    texts = [f"{o} ± {number(100 * row.half)} % after {int(row.seeds):,} runs" for o, row in last.iterrows()]
+    return f"{', '.join(texts)}." if texts else "No mean has an interval."
 
 
 def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
@@ -185,20 +187,22 @@ def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = f
     ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.last()
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
     errors, of = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
-    log, said = errors.get_yscale() == "log", []
+    log, sentences = errors.get_yscale() == "log", []
     if LOOPED in keys_of(figure):
-        said.append("Thick lines: the plant of each observer's loop, in the observer's colour.")
+        sentences.append("Thick lines: the plant of each observer's loop, in the observer's colour.")
     if any(_leaves(ax) for ax in figure.axes):
-        said.append("Values outside the range are cut off.")
+        sentences.append("Values outside the range are cut off.")
     if errors.collections:
-        said.append(f"Bands: 90 % of the errors over {over(of, exact)}.")
+        sentences.append(f"Bands: 90 % of the errors over {over(of, exact)}.")
     if of - exact and (errors.collections or log):
-        said.append(f"The {one_run.RUNS} runs are this one and those of the next seeds.")
+        sentences.append(f"The {one_run.RUNS} runs are this one and those of the next seeds.")
     if any(line.get_label() == INTERVAL for ax in figure.axes[:-1] for line in ax.get_lines()):
-        said.append("Thin lines about an estimate: the ends of its interval.")
+        sentences.append("Thin lines about an estimate: the ends of its interval.")
     if any(line.get_label() == SIGMA for line in errors.get_lines()):
-        said.append(f"Thin lines: {'the' if log else 'three times the'} standard deviation that the observer assumes.")
-    return text, " ".join(said)
+        sentences.append(
+            f"Thin lines: {'the' if log else 'three times the'} standard deviation that the observer assumes."
+        )
+    return text, " ".join(sentences)
 
 
 def _leaves(ax: Axes) -> bool:
@@ -215,17 +219,17 @@ def _has_bars(figure: Figure) -> bool:
     return any(len(each) and np.ptp(each[:, 1]) > 0 for each in segments)  # one without a value is empty
 
 
-def winners_note(found: pd.DataFrame, figure: Figure, runs: int) -> str:
+def winners_note(standings: pd.DataFrame, figure: Figure, runs: int) -> str:
     """Return how to read a map of winners, from the frame of `frames.standings`; runs 0: the values are exact."""
     better = (
         "significantly better than every other (paired t-test, Holm, 5 %)" if runs > 1 else "better than every other"
     )
-    said = [f"An observer wins a grid point if it is {better}."]
+    sentences = [f"An observer wins a grid point if it is {better}."]
     if any("×" in text.get_text() for ax in figure.axes for text in ax.texts):
-        said.append("The number is the error of the second divided by that of the winner.")
-    if ((found.winner == "") & (found.best != "")).any():
-        said.append("Pale: the difference is not significant." if runs else "Pale: others are equal to the best.")
-    return " ".join(said)
+        sentences.append("The number is the error of the second divided by that of the winner.")
+    if ((standings.winner == "") & (standings.best != "")).any():
+        sentences.append("Pale: the difference is not significant." if runs else "Pale: others are equal to the best.")
+    return " ".join(sentences)
 
 
 def map_note(figure: Figure) -> str:
@@ -238,18 +242,18 @@ def curves_note(figure: Figure, limit: str) -> str:
     return " ".join(filter(None, [limit, INTERVALS if _has_bars(figure) else ""]))
 
 
-def costs_note(figure: Figure, found: pd.DataFrame) -> str:
+def costs_note(figure: Figure, counts: pd.DataFrame) -> str:
     """Return how to read errors against operations, a frame of `observer_costs.of`."""
-    absent = "An observer without samples is not shown." if (found["sample"] == 0).any() else ""
+    absent = "An observer without samples is not shown." if (counts["sample"] == 0).any() else ""
     return " ".join(filter(None, [COSTS, absent, INTERVALS if _has_bars(figure) else ""]))
 
 
 def bands_note(figure: Figure) -> str:
     """Return how to read the bands of |e| over time."""
-    assumed = "assumed std" in keys_of(figure)
-    dashed = ", and the assumed standard deviation (dashed), which a consistent filter has at about its 68 % point"
-    cut = " Values outside the range are cut off." if any(_leaves(ax) for ax in figure.axes) else ""
-    return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{dashed if assumed else ''}.{cut}"
+    has_sigma = "assumed std" in keys_of(figure)
+    sigma_note = ", and the assumed standard deviation (dashed), which a consistent filter has at about its 68 % point"
+    range_note = " Values outside the range are cut off." if any(_leaves(ax) for ax in figure.axes) else ""
+    return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{sigma_note if has_sigma else ''}.{range_note}"
 
 
 def profiles_note(figure: Figure) -> str:
@@ -281,16 +285,17 @@ def bands(part: pd.DataFrame, unit: str) -> str:
     return f"Median of |e| at the end: {', '.join(f'{o} {_format_value(v, unit)}' for o, v in ends.items())}."
 
 
-def calibration(found: dict[str, Floats]) -> str:
+def calibration(transforms: dict[str, Floats]) -> str:
     """Return the actual coverage of each filter's region of nominal coverage 95 %."""
-    each = [f"{o} {100 * float((u <= NINETY_FIVE).mean()):.3g} %" for o, u in found.items()]
-    return f"Actual coverage at nominal 95 %: {', '.join(each)} of {max(map(len, found.values())):,} runs."
+    each = [f"{o} {100 * float((u <= NINETY_FIVE).mean()):.3g} %" for o, u in transforms.items()]
+    return f"Actual coverage at nominal 95 %: {', '.join(each)} of {max(map(len, transforms.values())):,} runs."
 
 
-def profiles(found: Regrets) -> str:
+def profiles(matrix: Regrets) -> str:
     """Return the share of situations in which each observer's error is within twice the least."""
     shares = {
-        o: (found.rows.ratio[found.rows.observer == o] <= TIMES).sum() / len(found.situations) for o in found.observers
+        o: (matrix.rows.ratio[matrix.rows.observer == o] <= TIMES).sum() / len(matrix.situations)
+        for o in matrix.observers
     }
     return (
         f"Within twice the least error: {', '.join(f'{o} {100 * v:.3g} %' for o, v in shares.items())} of situations."
@@ -300,48 +305,48 @@ def profiles(found: Regrets) -> str:
 def honesty(run: pd.DataFrame) -> str:
     """Return each observer's mean NEES over the second half of a run."""
     late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
-    said = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
-    return f"Mean over the second half: {', '.join(said)}."
+    texts = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
+    return f"Mean over the second half: {', '.join(texts)}."
 
 
-def costs(found: pd.DataFrame) -> str:
+def costs(counts: pd.DataFrame) -> str:
     """Return the operation counts of each observer."""
     text = "{observer} {sample:,} per sample, {tick:,} per tick, {memory:,} bytes"
-    each = "; ".join(text.format_map(row) for row in found.to_dict("records"))
+    each = "; ".join(text.format_map(row) for row in counts.to_dict("records"))
     return f"Multiplications of one run, and memory: {each}."
 
 
-def tolerances(found: pd.DataFrame) -> str:
+def tolerances(table: pd.DataFrame) -> str:
     """Return the value of each axis up to which observers are better than model-only."""
 
     def most(value: float) -> str:
         return "never" if np.isnan(value) else "everywhere" if np.isinf(value) else f"up to {number(value)}"
 
-    said = []
-    for axis, mine in found.groupby("axis", sort=False):
-        by_size = bool((mine.most < 0).any()) and not (mine.most > 0).any()
-        sizes = mine.assign(most=mine.most.abs()) if by_size else mine
+    texts = []
+    for axis, group in table.groupby("axis", sort=False):
+        by_size = bool((group.most < 0).any()) and not (group.most > 0).any()
+        sizes = group.assign(most=group.most.abs()) if by_size else group
         each = [f"{row['observer']} {most(row['most'])}" for row in sizes.to_dict("records")]
-        said.append(f"{'size of ' if by_size else ''}{frames.label(str(axis))}: {', '.join(each)}")
-    return f"Better than model-only: {'; '.join(said)}."
+        texts.append(f"{'size of ' if by_size else ''}{frames.label(str(axis))}: {', '.join(each)}")
+    return f"Better than model-only: {'; '.join(texts)}."
 
 
 def fair(table: pd.DataFrame) -> str:
     """Return each observer's metric on held-out runs, by kind of gains."""
     first = table[table.cell == table.cell.iloc[0]]
     unit = first.unit.iloc[0]
-    said = [
+    texts = [
         f"{r['observer']} {WORDS[r['tuning']]} {quantity(number(r['held_out']), unit)}"
         for r in first.to_dict("records")
     ]
-    return ", ".join(said) + "."
+    return ", ".join(texts) + "."
 
 
 def where(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
     titles = frames.titles(result, part)
-    named = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
-    return ", ".join(named) or (FIRST_VALUES if frames.varying(part) else "")
+    texts = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
+    return ", ".join(texts) or (FIRST_VALUES if frames.varying(part) else "")
 
 
 def _format_value(value: float, unit: str, otherwise: str = "diverged") -> str:
@@ -367,8 +372,8 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
     if not limit > 0:
         return ""
     by_size = bool((part[axis] < 0).any() and (part[axis] <= 0).all())
-    found = limit_verdicts.points(part.assign(**{axis: part[axis].abs()}) if by_size else part, axis, limit)
-    each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in found.items())
+    verdicts = limit_verdicts.points(part.assign(**{axis: part[axis].abs()}) if by_size else part, axis, limit)
+    each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in verdicts.items())
     which = quantity(number(limit), unit) + (" (twice the least mean)" if threshold is None else "")
     below = "Significantly below" if frames.runs_of(part) else "Below"
     return f"{below} {which}{f', by the size of {frames.label(axis)}' if by_size else ''}: {each}."

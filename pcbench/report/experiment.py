@@ -38,14 +38,14 @@ class Fact(NamedTuple):
     """One line about an experiment."""
 
     what: str
-    said: str
-    changed: bool = False  # by an axis of the study: the values are all of them
+    text: str
+    varies: bool = False  # by an axis of the study: the values are all of them
 
 
 class Experiment(NamedTuple):
     """The description of a scenario on the page."""
 
-    published: str  # source, and the differences to it
+    source: str  # source, and the differences to it
     facts: list[Fact]
     matrices: list[tuple[str, list[list[str]]]]  # name, rows of numbers
 
@@ -53,9 +53,9 @@ class Experiment(NamedTuple):
 def experiment(result: Result, scenario: str) -> Experiment:
     """Return the description of a scenario over all its grid points."""
     every = cells(result.study, scenario)
-    s, varied = every[0].scenario, result.study.axes
-    facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, varied))]
-    for name, values in varied.items():
+    s, study_axes = every[0].scenario, result.study.axes
+    facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, study_axes))]
+    for name, values in study_axes.items():
         if name.startswith("plant."):
             what = f"plant parameter {name.removeprefix('plant.').replace('_', ' ')}"
             facts.append(Fact(what, " | ".join(map(_plain, values)), len(values) > 1))
@@ -65,8 +65,8 @@ def experiment(result: Result, scenario: str) -> Experiment:
         facts += [Fact("parameters", ", ".join(parameters))] if parameters else []
     else:
         model = entry_of(s).nominal(numbers)
-        named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
-        for name, m in ((name, np.asarray(m)) for name, m in named.items() if m is not None):
+        model_matrices = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
+        for name, m in ((name, np.asarray(m)) for name, m in model_matrices.items() if m is not None):
             if np.any(m) and max(m.shape) <= MANY:
                 matrices.append((name, [[number(float(v)) for v in row] for row in m]))
     facts.append(Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options)))
@@ -90,8 +90,8 @@ def _field_rows(s: Scenario) -> list[Row]:
         if np.ndim(values) > 1:  # a root of the covariance of a tick's noise
             each = states(np.linalg.norm(np.asarray(values, float), axis=1))
             return f"{each}, correlated by a matrix {' x '.join(map(str, np.shape(values)))}"
-        named = zip(np.ravel(values), signals, strict=False)
-        return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in named)
+        pairs = zip(np.ravel(values), signals, strict=False)
+        return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in pairs)
 
     def times(values: str | Sequence[float | str]) -> str:
         return values if isinstance(values, str) else _each(values, ["s"] * len(values))
@@ -123,7 +123,7 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row(
             "control",
             "options of the controller",
-            lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items()),
+            lambda options: ", ".join(f"{k} {_plain(v)}" for k, v in options.items()),
         ),
         Row("unknown_input", "unknown input", _source),
         Row("x0", "initial state x(0)", states, always=True),
@@ -134,7 +134,7 @@ def _field_rows(s: Scenario) -> list[Row]:
     def each_row(say: Callable[[Any], str]) -> Callable[[Any], str]:
         return lambda values: " | ".join(map(say, values)) if has_rows(values) else say(values)
 
-    varied = [
+    field_rows = [
         Row(
             f.name, f.title, (each_row if f.rows else lambda say: say)(forms.get(f.form) or by_text(f.form, f.infinite))
         )
@@ -154,10 +154,10 @@ def _field_rows(s: Scenario) -> list[Row]:
             always=True,
         ),
     ]
-    return [*first, *varied, *last]
+    return [*first, *field_rows, *last]
 
 
-def _fact(row: Row, every: list[Cell], varied: Mapping[str, object]) -> Fact | None:
+def _fact(row: Row, every: list[Cell], study_axes: Mapping[str, object]) -> Fact | None:
     """Return the line of a field over all grid points; None if it has its default at all of them."""
     values = list({str(v): v for c in every for v in (c.scenario.value(row.name),)}.values())
     record = RECORD_OF.get(row.name)
@@ -168,23 +168,23 @@ def _fact(row: Row, every: list[Cell], varied: Mapping[str, object]) -> Fact | N
     loop = bool(every[0].scenario.loop.controller)
     unset = "same as the delay" if usual is None and loop else "none" if usual in (None, 0.0, (), "") else ""
     words = [unset if unset and v == usual and not row.always else row.say(v) for v in values]
-    return Fact(row.title, " | ".join(words), row.name in varied and len(values) > 1)
+    return Fact(row.title, " | ".join(words), row.name in study_axes and len(values) > 1)
 
 
 def _observer(cell: Cell, label: str) -> str:
     """Return an observer with the options that differ from its defaults."""
-    own = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
-    if not own or (label in cell.own and is_absent(cell.own[label])):
+    options = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
+    if not options or (label in cell.own and is_absent(cell.own[label])):
         return label
-    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in own.items())})"
+    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in options.items())})"
 
 
 def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
     """Return the source of a scenario, and the fields that this study has changed."""
-    printed = SCENARIOS.get(s.name)
-    if printed is None or s.own:
+    original = SCENARIOS.get(s.name)
+    if original is None or s.own:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
-    differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != printed.value(f) for c in every)]
+    differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != original.value(f) for c in every)]
     differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
     differ += ["initial state (random)"] if every[0].choices.random_initial_state else []
     but = f" This study changes: {', '.join(differ)} (see below)." if differ else ""
@@ -197,9 +197,9 @@ def _plant(s: Scenario, name: str) -> str:
     return f"linear plant of the study, {many} states" if name == LTI else name if summary == ABSENT else summary
 
 
-def _source(given: Sources) -> str:
+def _source(sources: Sources) -> str:
     """Return an input in words."""
-    parts = given.split(",") if isinstance(given, str) else given
+    parts = sources.split(",") if isinstance(sources, str) else sources
     return ", ".join(map(_one_source, parts)) or "none"
 
 
@@ -240,21 +240,21 @@ def rows(result: Result) -> list[Option]:
 
     If the code of an observer is not loaded, its defaults are unknown, and all options of the study are returned.
     """
-    study, found = result.study, dict[Option, None]()
+    study, options = result.study, dict[Option, None]()
     every = scenarios_of(study)
     for scenario in study.scenarios:
         for observer in observers_of(study, scenario):
-            found |= dict.fromkeys(_options(study, every[scenario], observer))
-    return list(found)
+            options |= dict.fromkeys(_options(study, every[scenario], observer))
+    return list(options)
 
 
 def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
     entry = entry_in(study, observer)
     fields = {} if entry.summary == ABSENT else entry.options.model_fields
     labels = [base_in(study, observer) or observer, observer]
-    set_here = {key for label in labels for key in dashes(study.options.get(label, {}))}
+    study_keys = {key for label in labels for key in dashes(study.options.get(label, {}))}
     tuned = study.tuned.options.get(observer, {}) if study.tuned else {}
-    found = []
+    options = []
     for name, value in merge_options(study, scenario, observer).items():
         default = fields[name].get_default(call_default_factory=True) if name in fields else None
         if name in fields and value == default:
@@ -263,9 +263,9 @@ def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
         usual = _word(default) if name in fields and not fields[name].is_required() else "-"
         is_tuned = name in tuned and tuned[name] == value
         first_cell = " at the first grid point" if is_tuned and study.tuned and study.tuned.cells else ""
-        origin = "the study" if name in set_here else of_scenario
-        found.append(Option(observer, name, _word(value) + first_cell, usual, is_tuned, origin))
-    return found
+        origin = "the study" if name in study_keys else of_scenario
+        options.append(Option(observer, name, _word(value) + first_cell, usual, is_tuned, origin))
+    return options
 
 
 def _word(value: object) -> str:

@@ -93,12 +93,12 @@ class Rows(NamedTuple):
 def numbers(result: Result, metric: str) -> Markup:
     """Return the numbers of a result as JSON for a page, with the metric that is shown first."""
     names = list(dict.fromkeys(result.stats.observer))
-    shown = [m for m in dict.fromkeys(result.stats.metric) if m not in HIDDEN]
+    metrics = [m for m in dict.fromkeys(result.stats.metric) if m not in HIDDEN]
     table = {
         "metric": metric,
         "alone": result.study.vary == "one-at-a-time",
         "observers": [_look(name, style) for name, style in styles(names).items()],
-        "metrics": {name: _metric(name) for name in shown},
+        "metrics": {name: _metric(name) for name in metrics},
         "scenarios": [_scenario(result, name, names) for name in result.scenarios],
     }
     text = json.dumps(table, separators=(",", ":"), allow_nan=False)
@@ -110,11 +110,11 @@ def _look(name: str, style: Style) -> Table:
 
 
 def _metric(name: str) -> Table:
-    ranked = POOLED.get(name, name) in COMPARED
+    is_ranked = POOLED.get(name, name) in COMPARED
     title = WORDS.get(name) or describe_metric(name, "{}").removesuffix(" of {}" if name in OF_RUN else "")
-    about = "errors and times" if ranked else "consistency of filters" if name in (*BANDS, *INSIDE) else "other"
+    about = "errors and times" if is_ranked else "consistency of filters" if name in (*BANDS, *INSIDE) else "other"
     means = (MEANING | OF_STATS).get(name, "")
-    return {"title": title, "means": means, "about": about, "ranked": ranked, "expected": EXPECTED.get(name)}
+    return {"title": title, "means": means, "about": about, "ranked": is_ranked, "expected": EXPECTED.get(name)}
 
 
 def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
@@ -131,13 +131,13 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
         values = list(dict.fromkeys(words))
         places.append([values.index(word) for word in words])
         axes.append(_axis(name, values, points[name], titles))
-    lost = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
+    diverged = _rows(stats.drop_duplicates(["observer", "cell"]), grid).values("diverged")
     return {
         "title": printable(title_of_scenario(result.study, scenario)),
         "observers": [names.index(name) for name in grid.observers],
         "axes": axes,
         "cells": list(zip(*places, strict=True)) if places else [()],
-        "lost": _plain(lost) if (lost > 0).any() else None,
+        "lost": _plain(diverged) if (diverged > 0).any() else None,
         "signals": [_signal(result, scenario, signal, grid) for signal in signals],
     }
 
@@ -147,35 +147,35 @@ def _rows(stats: pd.DataFrame, grid: Grid) -> Rows:
         pd.Index(names).get_indexer(pd.Index(stats[column]))
         for names, column in ((grid.observers, "observer"), (grid.cells, "cell"))
     )
-    kept = ("mean", "se", "ci_low", "ci_high", "n", "diverged", "method", "unit")
-    return Rows({name: stats[name].to_numpy() for name in kept}, (i, j), (len(grid.observers), len(grid.cells)))
+    columns = ("mean", "se", "ci_low", "ci_high", "n", "diverged", "method", "unit")
+    return Rows({name: stats[name].to_numpy() for name in columns}, (i, j), (len(grid.observers), len(grid.cells)))
 
 
 def _axis(name: str, words: list[str], column: pd.Series, titles: dict[str, frames.AxisTitle]) -> Table:
-    found = list(dict.fromkeys(column)) if len(words) == column.nunique(dropna=False) else words
-    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in found)
+    values = list(dict.fromkeys(column)) if len(words) == column.nunique(dropna=False) else words
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in values)
     return {
         "name": name,
         "label": printable(frames.label(name, titles)),
         "words": list(map(printable, words)),
-        "values": found if numeric else None,
-        "log": bool(numeric and layout.is_wide(found)),
+        "values": values if numeric else None,
+        "log": bool(numeric and layout.is_wide(values)),
     }
 
 
 def _signal(result: Result, scenario: str, signal: str, grid: Grid) -> Table:
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
     by_metric = {str(name): _rows(rows, grid) for name, rows in stats.groupby("metric", sort=False)}
-    met: dict[str, dict[int, list[Row]]] = {}
+    comparisons: dict[str, dict[int, list[Row]]] = {}
     for row in cast(list[Row], pairs[["metric", "cell", *PAIR]].to_dict("records")):
-        met.setdefault(row["metric"], {}).setdefault(row["cell"], []).append(row)
+        comparisons.setdefault(row["metric"], {}).setdefault(row["cell"], []).append(row)
     series = {}
     for name, rows in by_metric.items():
         if name in HIDDEN or np.isnan(rows.columns["mean"].astype(float)).all():
             continue
         series[name] = _series(rows)
         if POOLED.get(name, name) in COMPARED and (rows.exact or name not in POOLED) and len(grid.observers) > 1:
-            series[name] |= _comparison(rows, met.get(name, {}), grid)
+            series[name] |= _comparison(rows, comparisons.get(name, {}), grid)
         if band := by_metric.get(BANDS.get(name, "")):
             series[name] |= {"band_low": _plain(band.values("ci_low")), "band_high": _plain(band.values("ci_high"))}
     unit = str(by_metric["mae"].columns["unit"][0]) if "mae" in by_metric else str(stats.unit.iloc[0])
@@ -184,31 +184,36 @@ def _signal(result: Result, scenario: str, signal: str, grid: Grid) -> Table:
 
 def _series(rows: Rows) -> Table:
     mean, low, high, runs = (rows.values(column) for column in ("mean", "ci_low", "ci_high", "n"))
-    out = {"unit": printable(str(rows.columns["unit"][0])), "mean": _plain(_rounded(mean))}
+    out = {"unit": printable(str(rows.columns["unit"][0])), "mean": _plain(_round_to_zero(mean))}
     if (high > low).any():
         out |= {"low": _plain(low), "high": _plain(high)}
     same = len(np.unique(runs[np.isfinite(runs)])) == 1
     return out | {"n": int(np.nanmax(runs)) if same else _plain(runs)}
 
 
-def _rounded(mean: Numbers) -> Numbers:
+def _round_to_zero(mean: Numbers) -> Numbers:
     return np.where(np.abs(mean) < ROUNDING, 0.0, mean)
 
 
-def _comparison(rows: Rows, met: dict[int, list[Row]], grid: Grid) -> Table:
+def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Table:
     """Return the best observer of each grid point, and each other's verdict, p-value and interval of its ratio to the best.
 
     A verdict is 0: not significantly worse, 1: worse, 2: diverges significantly more often, or 3: not compared.
     """
-    best, (verdict, p, apart) = np.full(len(grid.cells), -1), np.full((3, *rows.shape), np.nan)
-    mean, n, lost = _rounded(rows.values("mean")), rows.values("n"), rows.values("diverged")
+    best, (verdict, p, diff_se) = np.full(len(grid.cells), -1), np.full((3, *rows.shape), np.nan)
+    mean, n, diverged = _round_to_zero(rows.values("mean")), rows.values("n"), rows.values("diverged")
     for j, cell in enumerate(grid.cells):
         present = [i for i in range(len(grid.observers)) if np.isfinite(n[i, j])]
         each = {
-            grid.observers[i]: {"observer": grid.observers[i], "mean": mean[i, j], "n": n[i, j], "diverged": lost[i, j]}
+            grid.observers[i]: {
+                "observer": grid.observers[i],
+                "mean": mean[i, j],
+                "n": n[i, j],
+                "diverged": diverged[i, j],
+            }
             for i in present
         }
-        pairs = met.get(cell, [])
+        pairs = comparisons.get(cell, [])
         standing = ranking.stood(list(each.values()), pairs)
         first = standing.order[0]
         if not np.isfinite(each[first]["mean"]):
@@ -222,23 +227,23 @@ def _comparison(rows: Rows, met: dict[int, list[Row]], grid: Grid) -> Table:
         for row in pairs:
             if first in (row["observer_a"], row["observer_b"]):
                 i = grid.observers.index(row["observer_b" if row["observer_a"] == first else "observer_a"])
-                p[i, j], apart[i, j] = row["p_holm"], row["se"]
-    half = _half_width(rows, best, apart)
+                p[i, j], diff_se[i, j] = row["p_holm"], row["se"]
+    half = _half_width(rows, best, diff_se)
     out = {"best": best.tolist(), "verdict": _plain(verdict), "p": _plain(p, 2)}
     return out | ({"half": _plain(half, 4)} if np.isfinite(half).any() else {})
 
 
-def _half_width(rows: Rows, best: NDArray[np.int64], apart: Numbers) -> Numbers:
+def _half_width(rows: Rows, best: NDArray[np.int64], diff_se: Numbers) -> Numbers:
     """Return half the interval of the logarithm of each observer's ratio to the best, [observers, cells]; NaN: none."""
-    mean, se, n, high, lost = (rows.values(name) for name in ("mean", "se", "n", "ci_high", "diverged"))
-    mean_b, se_b, n_b, high_b, lost_b = (v[best, np.arange(len(best))] for v in (mean, se, n, high, lost))
+    mean, se, n, high, diverged = (rows.values(name) for name in ("mean", "se", "n", "ci_high", "diverged"))
+    mean_b, se_b, n_b, high_b, diverged_b = (v[best, np.arange(len(best))] for v in (mean, se, n, high, diverged))
     with np.errstate(divide="ignore", invalid="ignore"):
         if rows.exact:  # the ratio of two exact numbers has no interval, and those of others are independent
             half = np.hypot(*(np.nan_to_num(np.log(h / m)) for h, m in ((high, mean), (high_b, mean_b))))
             return np.where((best >= 0) & (half > 0) & np.isfinite(mean), half, np.nan)
-        covariance = (se**2 + se_b**2 - apart**2) / 2
+        covariance = (se**2 + se_b**2 - diff_se**2) / 2
         variance = (se / mean) ** 2 + (se_b / mean_b) ** 2 - 2 * covariance / (mean * mean_b)
-        common = (best >= 0) & (n == n_b) & (lost == 0) & (lost_b == 0) & (n > 1) & (mean > 0) & (mean_b > 0)
+        common = (best >= 0) & (n == n_b) & (diverged == 0) & (diverged_b == 0) & (n > 1) & (mean > 0) & (mean_b > 0)
         t = [[student_quantile(int(runs) - 1, 0.975) if runs > 1 else np.nan for runs in row] for row in n]
         return np.where(common, np.array(t) * np.sqrt(np.maximum(variance, 0.0)), np.nan)
 

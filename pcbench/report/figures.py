@@ -46,7 +46,7 @@ class FigureOptions(NamedTuple):
     threshold: float | None = None  # limit of the error; None: twice the least mean of an axis
 
 
-SHOWN = FigureOptions()
+DEFAULTS = FigureOptions()
 NEES = "nees"  # metric
 
 
@@ -60,14 +60,14 @@ class Picture(NamedTuple):
     note: str = ""  # how to read it
 
 
-def cell_of(result: Result, scenario: str, shown: FigureOptions) -> int:
+def cell_of(result: Result, scenario: str, options: FigureOptions) -> int:
     """Return the number of the grid point of the figures."""
-    if shown.cell is not None:
-        return shown.cell
+    if options.cell is not None:
+        return options.cell
     if result.study.vary == "one-at-a-time":  # the first values of all axes
         return 0
-    signals = frames.signals_with_metric(result, scenario, shown.signals, shown.metric)
-    return frames.key_cell(result, scenario, signals[0], shown.metric) if signals else 0
+    signals = frames.signals_with_metric(result, scenario, options.signals, options.metric)
+    return frames.key_cell(result, scenario, signals[0], options.metric) if signals else 0
 
 
 class Place(NamedTuple):
@@ -78,57 +78,59 @@ class Place(NamedTuple):
     cell: int
     run: pd.DataFrame | None  # over time; None: it is not stored, and its code is not loaded
     costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
-    shown: FigureOptions
+    options: FigureOptions
 
 
-def places(result: Result, scenarios: list[str], shown: FigureOptions, progress: Progress = SILENT) -> dict[str, Place]:
+def places(
+    result: Result, scenarios: list[str], options: FigureOptions, progress: Progress = SILENT
+) -> dict[str, Place]:
     """Return scenarios with their runs over time and operation counts; what is not stored is computed."""
-    at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
+    at = {scenario: cell_of(result, scenario, options) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
         costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
-        runs = one_run.of_scenarios(result.study, at, result.out, shown.seed, progress)
-        return {name: Place(result, name, cell, runs[name], costs[name].result(), shown) for name, cell in at.items()}
+        runs = one_run.of_scenarios(result.study, at, result.out, options.seed, progress)
+        return {name: Place(result, name, cell, runs[name], costs[name].result(), options) for name, cell in at.items()}
 
 
 def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
     """Yield the figures of each signal of a scenario, and those of all signals (None)."""
-    for signal in frames.signals_with_metric(place.result, place.scenario, place.shown.signals, place.shown.metric):
+    for signal in frames.signals_with_metric(place.result, place.scenario, place.options.signals, place.options.metric):
         yield signal, of_signal(place, signal)
     yield None, of_all_signals(place)
 
 
 def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     """Yield the figures of one signal of a scenario, in the order of the page."""
-    result, scenario, cell, run, costs, shown = place
-    here: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
+    result, scenario, cell, run, costs, options = place
+    here: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
-    every = frames.rows(result, scenario, signal, shown.metric)
+    every = frames.rows(result, scenario, signal, options.metric)
     part, axes = every[every.cell == cell], frames.varying(every)
     at, titles = frames.values_at(every, cell), frames.titles(result, every)
-    words, unit = describe_metric(shown.metric, signal), unit_of(every)
+    words, unit = describe_metric(options.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
-    if found := ratios_of(result, scenario, signal, shown.metric, cell):
-        figure, text, note = plots.ratios(result, cell=cell, **here), captions.ratios(found), captions.best(found)
+    if table := ratios_of(result, scenario, signal, options.metric, cell):
+        figure, text, note = plots.ratios(result, cell=cell, **here), captions.ratios(table), captions.best(table)
         yield Picture(f"{name}-ratios", f"{title} relative to the best", figure, text, note)
-    seed = result.study.first_seed if shown.seed is None else shown.seed
+    seed = result.study.first_seed if options.seed is None else options.seed
     if run is not None:
-        figure = time_series.draw_run(result, run, scenario, signal, cell, seed, shown.paper)
+        figure = time_series.draw_run(result, run, scenario, signal, cell, seed, options.paper)
         exact = time_series.exactly(result, scenario, cell)
         text, note = captions.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), figure, exact)
         yield Picture(f"{name}-time", "One run over time", figure, text, note)
     if run is not None and errors_over_time.has_bands(run, signal):
-        figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, seed, shown.paper)
+        figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, seed, options.paper)
         text = captions.bands(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.bands_note(figure))
     if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
-        alone = fault_tolerance.part_of_alone(result, scenario, signal, shown.metric)
+        alone = fault_tolerance.part_of_alone(result, scenario, signal, options.metric)
         text = captions.tolerances(fault_tolerance.tolerances(alone))
         figure = plots.bearing(result, **here)
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(every)
         over = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
-        figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, shown.metric)
+        figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, options.metric)
         note = captions.winners_note(standings, figure, frames.runs_of(every))
         yield Picture(f"{name}-winners", f"Winners over {over}", figure, captions.winners(standings), note)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
@@ -138,21 +140,21 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
         values = frames.fix_axes(every, [axis], rest)
-        limit = captions.describe_limit(values, axis, unit, shown.threshold)
+        limit = captions.describe_limit(values, axis, unit, options.threshold)
         figure = plots.curves(result, axis, at=rest, **here)
-        where: TomlTable = {"scenario": scenario, "signal": signal, "metric": shown.metric, "at": rest}
-        crossed = captions.crossed(crossings.changes(result, axis, **where)) if axis in CROSSED else ""
+        where: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "at": rest}
+        changes = captions.crossings(crossings.changes(result, axis, **where)) if axis in CROSSED else ""
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
             title=f"{title} over {frames.label(axis, titles)}",
             figure=figure,
             text=captions.curve(values, axis, unit),
-            note=captions.curves_note(figure, " ".join(filter(None, [limit, crossed]))),
+            note=captions.curves_note(figure, " ".join(filter(None, [limit, changes]))),
         )
     if frames.has_spread(part):
-        figure, heading = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"
-        yield Picture(f"{name}-distribution", heading, figure, captions.medians(part, unit), "Left is better.")
-        text = captions.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
+        figure, caption = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"
+        yield Picture(f"{name}-distribution", caption, figure, captions.medians(part, unit), "Left is better.")
+        text = captions.convergence(frames.convergence(result, scenario, signal, options.metric, cell))
         figure = plots.convergence(result, cell=cell, **here)
         yield Picture(
             f"{name}-convergence",
@@ -169,39 +171,39 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
 
 def of_all_signals(place: Place) -> Iterator[Picture]:
     """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
-    result, scenario, cell, run, _, shown = place
+    result, scenario, cell, run, _, options = place
     name = title_of_scenario(result.study, scenario).replace("/", "-")
-    lost = frames.rows(result, scenario, None, "divergence_rate")
-    if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
-        x, y = frames.map_axes(lost)
-        rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
-        figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
-        part = frames.fix_axes(lost, [x, y], rest)
-        titles = frames.titles(result, lost)
+    stats = frames.rows(result, scenario, None, "divergence_rate")
+    if result.study.vary == "all" and len(frames.varying(stats)) >= 2 and (stats["mean"] > 0).any():
+        x, y = frames.map_axes(stats)
+        rest = {a: v for a, v in frames.values_at(stats, cell).items() if a not in (x, y)}
+        figure = plots.divergence(result, scenario=scenario, at=rest, paper=options.paper)
+        part = frames.fix_axes(stats, [x, y], rest)
+        titles = frames.titles(result, stats)
         title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     yield from _consistency(place)
     if run is not None and one_run.has_nees(run):
-        seed = result.study.first_seed if shown.seed is None else shown.seed
+        seed = result.study.first_seed if options.seed is None else options.seed
         figure, note = (
-            time_series.draw_nees(result, run, scenario, cell, seed, shown.paper),
+            time_series.draw_nees(result, run, scenario, cell, seed, options.paper),
             captions.honesty_note(run),
         )
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), note)
-    if found := calibration_curves.transforms_of(result, scenario, cell):
+    if transforms := calibration_curves.transforms_of(result, scenario, cell):
         figure, text = (
-            plots.calibration(result, scenario=scenario, cell=cell, paper=shown.paper),
-            captions.calibration(found),
+            plots.calibration(result, scenario=scenario, cell=cell, paper=options.paper),
+            captions.calibration(transforms),
         )
         yield Picture(f"{name}-calibration", "Calibration of the filters", figure, text, captions.CALIBRATION)
     if result.fair is not None and scenario in set(result.fair.scenario):
-        figure = plots.fair(result, paper=shown.paper)
+        figure = plots.fair(result, paper=options.paper)
         yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
 
 
 def _consistency(place: Place) -> Iterator[Picture]:
     """Yield the NEES of the filters over each axis, if there is any: exact moments may have no answer."""
-    result, scenario, cell, _, _, shown = place
+    result, scenario, cell, _, _, options = place
     stats = result.stats[(result.stats.scenario == scenario) & (result.stats.metric == NEES)]
     if not np.isfinite(stats["mean"]).any():
         return
@@ -212,23 +214,23 @@ def _consistency(place: Place) -> Iterator[Picture]:
         yield Picture(
             name,
             f"Consistency over {frames.label(axis, frames.titles(result, every))}",
-            plots.curves(result, axis, scenario=scenario, metric=NEES, at=rest, paper=shown.paper),
+            plots.curves(result, axis, scenario=scenario, metric=NEES, at=rest, paper=options.paper),
             captions.curve(frames.fix_axes(every, [axis], rest), axis, ""),
             captions.NEES,
         )
 
 
-def of_study(result: Result, shown: FigureOptions) -> Iterator[Picture]:
+def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
     """Yield the figures of all scenarios and grid points together."""
-    if found := regrets_of(result, shown.metric, shown.signals):
-        figure = plots.regrets(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
-        yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(found))
-        figure = plots.profiles(result, metric=shown.metric, signals=shown.signals, paper=shown.paper)
+    if matrix := regrets_of(result, options.metric, options.signals):
+        figure = plots.regrets(result, metric=options.metric, signals=options.signals, paper=options.paper)
+        yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(matrix))
+        figure = plots.profiles(result, metric=options.metric, signals=options.signals, paper=options.paper)
         yield Picture(
             "profiles",
             "Performance profile and ranks",
             figure,
-            captions.profiles(found),
+            captions.profiles(matrix),
             captions.profiles_note(figure),
         )
 
@@ -242,19 +244,19 @@ def write(
     result: Result,
     out: str | Path,
     progress: Progress = SILENT,
-    shown: FigureOptions = SHOWN,
+    options: FigureOptions = DEFAULTS,
     formats: tuple[str, ...] = KINDS,
 ) -> list[str]:
     """Write every figure of the page, and return the names of the files, without their suffix."""
-    return put_figures(_all(result, shown, progress), out, formats, progress)
+    return put_figures(_all(result, options, progress), out, formats, progress)
 
 
-def _all(result: Result, shown: FigureOptions, progress: Progress) -> Iterator[Picture]:
+def _all(result: Result, options: FigureOptions, progress: Progress) -> Iterator[Picture]:
     """Draw every figure, the runs that they show simulated when the first is asked for."""
-    for place in places(result, result.scenarios, shown, progress).values():
+    for place in places(result, result.scenarios, options, progress).values():
         for _, pictures in of_scenario(place):
             yield from pictures
-    yield from of_study(result, shown)
+    yield from of_study(result, options)
 
 
 def put_figures(

@@ -11,7 +11,7 @@ from pcbench.plots import frames, layout
 from pcbench.plots.labels import with_unit
 from pcbench.plots.palette import styles
 from pcbench.report.captions import where
-from pcbench.report.summary import Stood, tally
+from pcbench.report.summary import Ranking, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
 
@@ -50,13 +50,13 @@ def headlines(
     `costs` is a frame of `pcbench.operation_counts` of this grid point; None: there is no table of operations.
     """
     part = frames.rows(result, scenario, signal, metric)
-    found = frames.standings(result, scenario, signal, metric)
+    standings = frames.standings(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
-    counted = [_count_wins(result, Stood(scenario, signal, part, found), metric)] if len(cells) > MOST else []
-    leaders = dict(zip(found.cell, found.leaders, strict=True))
-    shown = [cell] if counted else cells
-    tables = [_cell(result, scenario, signal, part, metric, each, leaders[each]) for each in shown]
-    return counted + tables + ([] if costs is None else [_operations(part, costs)])
+    win_tables = [_count_wins(result, Ranking(scenario, signal, part, standings), metric)] if len(cells) > MOST else []
+    leaders = dict(zip(standings.cell, standings.leaders, strict=True))
+    table_cells = [cell] if win_tables else cells
+    tables = [_cell(result, scenario, signal, part, metric, each, leaders[each]) for each in table_cells]
+    return win_tables + tables + ([] if costs is None else [_operations(part, costs)])
 
 
 def _operations(part: pd.DataFrame, costs: pd.DataFrame) -> Headline:
@@ -84,64 +84,64 @@ def _cell(
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
     stats, look = stats[stats.cell == cell], styles(part.observer)
     pairs, wide = pairs[(pairs.metric == metric) & (pairs.cell == cell)], stats.set_index(["observer", "metric"])
-    ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
-    ranked = ranked.set_index("observer")
+    ranking = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
+    ranking = ranking.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
     rows, less = [], []
-    for i, observer in enumerate(ranked.index):
+    for i, observer in enumerate(ranking.index):
         row = wide.loc[observer]
-        against = number_format.difference(pairs, observer, ranked.index[0]) if i else ""
-        if i and diverges_more(ranked.iloc[0], ranked.iloc[i]):
+        against = number_format.difference(pairs, observer, ranking.index[0]) if i else ""
+        if i and diverges_more(ranking.iloc[0], ranking.iloc[i]):
             against = "diverges more often"
         if re.match(r"\(?-\d", against):
             less.append(str(observer))
-        lost = row.loc["divergence_rate"]
+        rate = row.loc["divergence_rate"]
         cells = [
             number_format.mark_uncertified(observer, [row.loc[metric].certified]),
             number_format.interval(row.loc[metric]),
         ]
         cells.append(against)
         cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
-        cells.append("-" if np.isnan(lost["mean"]) else number_format.fraction(lost) if lost["mean"] else "none")
+        cells.append("-" if np.isnan(rate["mean"]) else number_format.fraction(rate) if rate["mean"] else "none")
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
     at = where(result, part, cell)
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
     heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
     heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]
-    kept = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
-    rows = [row._replace(cells=[row.cells[i] for i in kept]) for row in rows]
-    written = " ".join(text for row in rows for text in row.cells[1:])
-    explained = [words for mark, words in MARKS.items() if mark in written]
+    columns = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
+    rows = [row._replace(cells=[row.cells[i] for i in columns]) for row in rows]
+    texts = " ".join(text for row in rows for text in row.cells[1:])
+    legend = [words for mark, words in MARKS.items() if mark in texts]
     note = (
-        "; ".join([f"{n:,} runs each", *explained]) + "."
+        "; ".join([f"{n:,} runs each", *legend]) + "."
         if n > 1
         else "One run each: no intervals, and no significant differences."
     )
-    some_diverge = heads.index("diverged") in kept
+    some_diverge = heads.index("diverged") in columns
     note += " Means are over the runs that did not diverge." if some_diverge else " None of them diverged."
     if less:
         note += (
-            f" {ranked.index[0]} is first because fewer of its runs diverged, though not significantly fewer. The error of "
+            f" {ranking.index[0]} is first because fewer of its runs diverged, though not significantly fewer. The error of "
             f"{', '.join(less)} is significantly less, so there is no winner."
         )
     note = note if n else "Exact expected values over all noise."
     title = f"At {at}" if at else ""
-    return Headline(title, [heads[i] for i in kept], rows, f"{note} {result.unproven(scenario)}".strip())
+    return Headline(title, [heads[i] for i in columns], rows, f"{note} {result.unproven(scenario)}".strip())
 
 
-def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
-    _, _, part, found = stood
-    ranked = []
-    tallies = {t.observer: t for t in tally([stood])}
-    for observer, own in ((str(o), own) for o, own in part.groupby("observer", sort=False)):
-        t, share = tallies[observer], 100 * own.diverged.sum() / max((own.n + own.diverged).sum(), 1)
-        median = float(own["mean"].median())
-        cells = [number_format.mark_uncertified(observer, own.certified), str(t.won), str(t.led)]
+def _count_wins(result: Result, s: Ranking, metric: str) -> Headline:
+    _, _, part, standings = s
+    keyed_rows = []
+    tallies = {t.observer: t for t in tally([s])}
+    for observer, group in ((str(o), group) for o, group in part.groupby("observer", sort=False)):
+        t, share = tallies[observer], 100 * group.diverged.sum() / max((group.n + group.diverged).sum(), 1)
+        median = float(group["mean"].median())
+        cells = [number_format.mark_uncertified(observer, group.certified), str(t.wins), str(t.leads)]
         cells.append("-" if np.isnan(median) else layout.number(float(f"{median:.4g}")))
         cells.append(f"{share:.3g} %" if share else "none")
-        ranked.append(((-t.won, median), HeadlineRow(cells, t.colour, best=False)))
-    rows = [row for _, row in sorted(ranked, key=lambda pair: pair[0])]
+        keyed_rows.append(((-t.wins, median), HeadlineRow(cells, t.colour, best=False)))
+    rows = [row for _, row in sorted(keyed_rows, key=lambda pair: pair[0])]
     heads = [
         "observer",
         "grid points won",
@@ -151,13 +151,13 @@ def _count_wins(result: Result, stood: Stood, metric: str) -> Headline:
     ]
     if len(rows) == 1:  # it is compared with none
         rows = [row._replace(cells=[row.cells[0], *row.cells[3:]]) for row in rows]
-        title = f"All {len(found)} grid points"
-        return Headline(title, [heads[0], *heads[3:]], rows, result.unproven(stood.scenario).strip())
-    ties = int((found.winner == "").sum())
+        title = f"All {len(standings)} grid points"
+        return Headline(title, [heads[0], *heads[3:]], rows, result.unproven(s.scenario).strip())
+    ties = int((standings.winner == "").sum())
     runs = frames.runs_of(part) > 0
     better, test = ("significantly better", " (paired t-test, Holm, 5 %)") if runs else ("better", "")
     note = (
-        f"An observer wins a grid point if it is {better} than every other{test}. {ties} of {len(found)} grid points have no "
-        f"winner. An observer is as good as the best if none is {better}."
+        f"An observer wins a grid point if it is {better} than every other{test}. {ties} of {len(standings)} grid points have "
+        f"no winner. An observer is as good as the best if none is {better}."
     )
-    return Headline(f"All {len(found)} grid points", heads, rows, f"{note} {result.unproven(stood.scenario)}".strip())
+    return Headline(f"All {len(standings)} grid points", heads, rows, f"{note} {result.unproven(s.scenario)}".strip())

@@ -1,7 +1,7 @@
 """One self-contained page from a study's folder: winners, experiments, tables, figures, and how to repeat the study.
 
 It loads no other file, and its figures are SVG in the page: it opens offline, prints, and needs no script. A script adds one
-figure in which you choose what is shown. A content security policy in the page forbids every request and every other script.
+figure in which you choose what is options. A content security policy in the page forbids every request and every other script.
 """
 
 import base64
@@ -25,7 +25,7 @@ from pcbench.plots.labels import inline, with_unit
 from pcbench.report import captions, explorer, figures, headline, summary
 from pcbench.report import experiment as of_scenario
 from pcbench.report.experiment import Experiment
-from pcbench.report.figures import SHOWN, FigureOptions
+from pcbench.report.figures import DEFAULTS, FigureOptions
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import title_of_scenario
 from pcbench.study.serialize import as_dict
@@ -67,13 +67,13 @@ class Section(NamedTuple):
     parts: list[Part]
 
 
-def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, shown: FigureOptions = SHOWN) -> int:
+def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, options: FigureOptions = DEFAULTS) -> int:
     """Write the page of a study's folder as one file, and return its size in bytes.
 
-    `shown` selects the metric that ranks, signals, grid point and seed. Runs that are shown over time are simulated if the
+    `options` select the metric that ranks, signals, grid point and seed. Runs that are shown over time are simulated if the
     folder does not have them, and stored there. Raises UserError if the folder contains no finished study.
     """
-    return put(page(open_result(folder), progress, shown), out)
+    return put(page(open_result(folder), progress, options), out)
 
 
 def put(text: str, out: str | Path) -> int:
@@ -85,14 +85,14 @@ def put(text: str, out: str | Path) -> int:
     return len(content)
 
 
-def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHOWN) -> str:
+def page(result: Result, progress: Progress = SILENT, options: FigureOptions = DEFAULTS) -> str:
     """Return the page's HTML; arguments are those of `write`."""
-    shown = shown._replace(metric=result.ranks(shown.metric))
-    stood = summary.stood(result, shown.metric, shown.signals)
-    rows, won = summary.rows(result, stood), summary.tally(stood)
+    options = options._replace(metric=result.ranks(options.metric))
+    rankings = summary.rankings(result, options.metric, options.signals)
+    rows, tallies = summary.rows(result, rankings), summary.tally(rankings)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
-    places = figures.places(result, names, shown, progress)
+    places = figures.places(result, names, options, progress)
     progress.begin("scenarios", len(names))
     sections = list[Section]()
     for name, anchor in anchors.items():
@@ -101,44 +101,45 @@ def page(result: Result, progress: Progress = SILENT, shown: FigureOptions = SHO
     for picture in sections[0].parts[0].pictures if len(anchors) > MANY else ():
         if picture["name"].endswith("-bands"):
             picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
-    drawn = (part.pictures for section in sections for part in section.parts)
-    first = next((each.pop(0) for each in drawn if each and each[0]["name"].endswith(HEAD)), None)
-    whole = sorted(figures.of_study(result, shown), key=lambda p: p.figure.get_figwidth() > BROAD * shown.paper.width)
-    head = [*([first] if first else []), *map(inline_picture, whole)]
-    narrow = len(head) > TWO and all(p.figure.get_figwidth() <= BROAD * shown.paper.width for p in whole)
-    described = MEANING | explorer.OF_STATS | {summary.LOOP: LOOP}
-    meaning = {m: described.get(m, "") for m in (shown.metric, *ALWAYS)}
-    present = {shown.metric, *result.stats.metric}
+    pictures = (part.pictures for section in sections for part in section.parts)
+    first = next((each.pop(0) for each in pictures if each and each[0]["name"].endswith(HEAD)), None)
+    wide = BROAD * options.paper.width
+    overview = sorted(figures.of_study(result, options), key=lambda p: p.figure.get_figwidth() > wide)
+    head = [*([first] if first else []), *map(inline_picture, overview)]
+    narrow = len(head) > TWO and all(p.figure.get_figwidth() <= wide for p in overview)
+    descriptions = MEANING | explorer.OF_STATS | {summary.LOOP: LOOP}
+    meaning = {m: descriptions.get(m, "") for m in (options.metric, *ALWAYS)}
+    present = {options.metric, *result.stats.metric}
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
-    made = f"# made with pcbench {release.get('pcbench', '')}"
-    made += f", commit {commit['commit']}" if commit.get("commit") else ""
+    header = f"# made with pcbench {release.get('pcbench', '')}"
+    header += f", commit {commit['commit']}" if commit.get("commit") else ""
     run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
     return render(
         "page.html",
         title=f"Study {result.study.name}",
         unbroken=_unbroken,
         what=_what(result),
-        metric=shown.metric,
-        metric_means=meaning[shown.metric],
+        metric=options.metric,
+        metric_means=meaning[options.metric],
         sure=_how_sure(result),
         method=_method(result),
         head=head,
         column=max((p["width"] for p in head), key=lambda width: float(width.removesuffix("pt"))) if narrow else "",
-        tally=won,
-        alone=len(won) == 1,
+        tally=tallies,
+        alone=len(tallies) == 1,
         summary=rows,
         tracking=summary.LOOP if any(row.loop for row in rows) else "",
         tracking_means=LOOP,
-        several=any(t.of > len(rows) for t in won),
+        several=any(t.of > len(rows) for t in tallies),
         anchors=anchors,
         sections=sections,
         options=of_scenario.rows(result),
         tuned=result.study.tuning_sentence,
-        command="\n".join([made, run, "pcbench report again"]),
+        command="\n".join([header, run, "pcbench report again"]),
         study=tomli_w.dumps(as_dict(result.study)).strip(),
         provenance=_provenance(result),
         meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
-        numbers=explorer.numbers(result, shown.metric),
+        numbers=explorer.numbers(result, options.metric),
     )
 
 
@@ -172,17 +173,19 @@ def share_styles(html: str) -> str:
 
 def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
     """Return the section of a scenario; without `bands` it lacks the largest figures, those of the error over time."""
-    result, scenario, shown, parts = place.result, place.scenario, place.shown, []
+    result, scenario, options, parts = place.result, place.scenario, place.options, []
     for signal, pictures in figures.of_scenario(place):
-        drawn = [inline_picture(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
+        entries = [inline_picture(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
         if signal is None:
-            parts += [Part("All signals", [], "", drawn)] if drawn else []
+            parts += [Part("All signals", [], "", entries)] if entries else []
             continue
-        tables = headline.headlines(result, scenario, signal, shown.metric, place.cell, None if parts else place.costs)
-        every = frames.rows(result, scenario, signal, shown.metric)
+        tables = headline.headlines(
+            result, scenario, signal, options.metric, place.cell, None if parts else place.costs
+        )
+        every = frames.rows(result, scenario, signal, options.metric)
         at = captions.where(result, every, place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
-        parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, drawn))
+        parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, entries))
     return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
 
 
@@ -193,9 +196,9 @@ def inline_picture(p: figures.Picture) -> dict[str, str]:
 
 
 def _what(result: Result) -> str:
-    mine = result.stats[result.stats.metric == "mae"]
-    scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
-    observers, runs = list(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
+    rows = result.stats[result.stats.metric == "mae"]
+    scenarios, cells = rows.scenario.nunique(), int(rows.groupby("scenario").cell.nunique().sum())
+    observers, runs = list(dict.fromkeys(rows.observer)), int((rows.n + rows.diverged).max())
     many = f", {cells} combinations of axis values" if cells > scenarios else ""
     seeds = f"with up to {runs:,} runs each" if runs else "exact expected values over all noise"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")

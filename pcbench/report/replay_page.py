@@ -55,15 +55,15 @@ def page(r: Replay, signals: list[str] | None = None) -> str:
     """Return the page's HTML, with some signals (None or empty: all); raise UserError for an unknown one."""
     about, parts = r.summary, []
     for each in sections(r, signals, PAPER):
-        drawn = [study_page.inline_picture(p) for p in each.pictures]
-        parts.append(each._asdict() | {"pictures": drawn})
+        pictures = [study_page.inline_picture(p) for p in each.pictures]
+        parts.append(each._asdict() | {"pictures": pictures})
     seconds = f"{about['rows']:,} measurements, {short(r.end)} s in ticks of {about['dt']:g} s"
     many = f"{len(r.observers)} observer{'s' * (len(r.observers) > 1)}"
     return study_page.render(
         "replay.html",
         title=f"Replay of {about['log']}",
         what=f"{many} ({', '.join(r.observers)}) with the plant {about['plant']}: {seconds}.",
-        said=about["said"],
+        remarks=about["said"],
         sections=parts,
         colours={observer: style.colour for observer, style in styles(r.observers).items()},
         meaning=list(MEANING.items()),
@@ -78,13 +78,13 @@ def sections(r: Replay, signals: list[str] | None, paper: Paper) -> Iterator[Sec
     if r.with_innovations:
         picture = [_likelihood(r, paper)] if r.summary["rows"] else []
         yield Section("innovations", "Innovation tests", _tests(r), picture)
-    chosen = [name for name in r.units if not signals or name in signals]
-    yield Section("states", "States", _errors(r, chosen), [_states(r, name, paper) for name in chosen])
+    names = [name for name in r.units if not signals or name in signals]
+    yield Section("states", "States", _errors(r, names), [_states(r, name, paper) for name in names])
     for i, channel in enumerate(each["channel"] for each in r.summary["outputs"]):
-        found = {o: each for o in r.with_innovations if (each := replay_frames.innovations(r, o, channel)).many}
-        if found:
+        stats = {o: each for o in r.with_innovations if (each := replay_frames.innovations(r, o, channel)).many}
+        if stats:
             name = channel if PLAIN.fullmatch(channel) else str(i)
-            yield Section(f"channel-{name}", f"Channel {channel}", [], list(_channel(r, channel, name, found, paper)))
+            yield Section(f"channel-{name}", f"Channel {channel}", [], list(_channel(r, channel, name, stats, paper)))
 
 
 def _tests(r: Replay) -> list[Table]:
@@ -127,11 +127,11 @@ def _errors(r: Replay, signals: list[str]) -> list[Table]:
         ("rms distance to the smoothed states", r.summary["distances"], "rms", f"{since} {alike}"),
     ):
         values = {(row["observer"], row["signal"]): row[key] for row in rows if row["signal"] in signals}
-        shown = list(dict.fromkeys(signal for _, signal in values))
-        if shown:
-            lines = [[o, *(_text(values.get((o, signal))) for signal in shown)] for o in r.observers]
+        columns = list(dict.fromkeys(signal for _, signal in values))
+        if columns:
+            lines = [[o, *(_text(values.get((o, signal))) for signal in columns)] for o in r.observers]
             out.append(
-                Table(title, ["observer", *(f"{s.replace('_', ' ')} [{r.units[s]}]" for s in shown)], lines, note)
+                Table(title, ["observer", *(f"{s.replace('_', ' ')} [{r.units[s]}]" for s in columns)], lines, note)
             )
     return out
 
@@ -153,43 +153,43 @@ def _likelihood(r: Replay, paper: Paper) -> Picture:
 
 
 def _states(r: Replay, signal: str, paper: Paper) -> Picture:
-    known = "true states" if signal in r.truth else "smoothed states" if signal in r.smoothed else ""
+    reference = "true states" if signal in r.truth else "smoothed states" if signal in r.smoothed else ""
     low, high = replays.excerpt_of(r)
     text = f"{signal.replace('_', ' ')} as estimated by {', '.join(r.observers)}, over all {number(r.end)} s and from "
-    text += replays.span(low, high) + (f", and its difference from the {known}." if known else ".")
+    text += replays.span(low, high) + (f", and its difference from the {reference}." if reference else ".")
     figure = replays.states(r, signal, paper)
     note = f"{BANDS} {THINNED}" if any("band" in key for key in captions.keys_of(figure)) else THINNED
     return Picture(f"state-{signal}", signal.replace("_", " "), figure, text, note)
 
 
 def _channel(
-    r: Replay, channel: str, name: str, found: dict[str, replay_frames.Innovations], paper: Paper
+    r: Replay, channel: str, name: str, stats: dict[str, replay_frames.Innovations], paper: Paper
 ) -> Iterator[Picture]:
     """Yield the figures of a channel; `name` is its name in those of files."""
-    said = [f"{o} {short(100 * each.outside)} % of {each.many:,}" for o, each in found.items()]
+    texts = [f"{o} {short(100 * each.outside)} % of {each.many:,}" for o, each in stats.items()]
     yield Picture(
         name=f"innovations-{name}",
         title="Innovations over time",
-        figure=replays.innovations(r, channel, found, paper),
-        text=f"Outside the band: {', '.join(said)}.",
+        figure=replays.innovations(r, channel, stats, paper),
+        text=f"Outside the band: {', '.join(texts)}.",
         note=f"5 % are expected outside. {THINNED}",
     )
-    if any(len(each.autocorrelation) for each in found.values()):
-        band = {o: replays.Z95 / each.many**0.5 for o, each in found.items()}
-        said = [
+    if any(len(each.autocorrelation) for each in stats.values()):
+        band = {o: replays.Z95 / each.many**0.5 for o, each in stats.items()}
+        texts = [
             f"{o} {int((abs(each.autocorrelation) > band[o]).sum())} of {len(each.autocorrelation)} lags"
-            for o, each in found.items()
+            for o, each in stats.items()
         ]
         yield Picture(
             name=f"autocorrelation-{name}",
             title="Autocorrelation of the innovations",
-            figure=replays.autocorrelation(r, found, paper),
-            text=f"Outside the band: {', '.join(said)}.",
+            figure=replays.autocorrelation(r, stats, paper),
+            text=f"Outside the band: {', '.join(texts)}.",
             note="White innovations have 5 % of the lags outside.",
         )
 
 
-def write_figures(folder: str, out: str, shown: FigureOptions, formats: tuple[str, ...]) -> list[str]:
+def write_figures(folder: str, out: str, options: FigureOptions, formats: tuple[str, ...]) -> list[str]:
     """Write every figure of a replay's page, and return the names of the files, without their suffix."""
     r = replay_frames.open_replay(folder)
-    return put_figures((p for each in sections(r, shown.signals, shown.paper) for p in each.pictures), out, formats)
+    return put_figures((p for each in sections(r, options.signals, options.paper) for p in each.pictures), out, formats)

@@ -29,10 +29,10 @@ class Row(NamedTuple):
     signal: str
     best: list[tuple[str, str]]  # name, colour; empty: all diverge
     sure: bool  # no other observer is significantly better
-    won: str  # significance, in words
+    significance: str  # in words
     value: str  # its metric with interval
     loop: str  # its error of tracking with interval; empty: there is no loop with a set point, or that is its metric
-    others: list[tuple[str, str, str]]  # name, colour, how many times larger
+    ratios: list[tuple[str, str, str]]  # name, colour, how many times larger
     tells: float  # by which rows are ordered, the largest first
 
 
@@ -41,24 +41,24 @@ class Tally(NamedTuple):
 
     observer: str
     colour: str
-    won: int  # grid points
-    led: int  # grid points at which no other observer is significantly better
+    wins: int  # grid points
+    leads: int  # grid points at which no other observer is significantly better
     of: int  # grid points at which it ran
 
 
-class Stood(NamedTuple):
+class Ranking(NamedTuple):
     """How observers stood in one signal of a scenario."""
 
     scenario: str
     signal: str
     part: pd.DataFrame  # `frames.rows`
-    found: pd.DataFrame  # `frames.standings`
+    standings: pd.DataFrame  # `frames.standings`
 
 
-def stood(result: Result, metric: str, signals: list[str] | None) -> list[Stood]:
+def rankings(result: Result, metric: str, signals: list[str] | None) -> list[Ranking]:
     """Return how observers stood in every signal shown of every scenario; raise UserError where none has the metric."""
     out = [
-        Stood(name, s, frames.rows(result, name, s, metric), frames.standings(result, name, s, metric))
+        Ranking(name, s, frames.rows(result, name, s, metric), frames.standings(result, name, s, metric))
         for name in result.scenarios
         for s in frames.signals_with_metric(result, name, signals, metric)
     ]
@@ -69,9 +69,9 @@ def stood(result: Result, metric: str, signals: list[str] | None) -> list[Stood]
     return out
 
 
-def rows(result: Result, found: list[Stood]) -> list[Row]:
+def rows(result: Result, rankings: list[Ranking]) -> list[Row]:
     """Return a row for each scenario and signal; scenarios in order of what they tell, or in that of the study."""
-    every = [_row(result, each) for each in found]
+    every = [_row(result, each) for each in rankings]
     if keeps_order(result):
         return every
     tells: dict[str, float] = {}
@@ -85,70 +85,71 @@ def keeps_order(result: Result) -> bool:
     return set(result.scenarios) <= set(result.study.tables or {})
 
 
-def tally(every: list[Stood]) -> list[Tally]:
+def tally(every: list[Ranking]) -> list[Tally]:
     """Return how many grid points of all signals shown each observer wins and leads, the most first."""
-    won, led, of = Counter[str](), Counter[str](), Counter[str]()
-    for _, _, part, found in every:
-        of.update(dict.fromkeys(part.observer, len(found)))
-        won.update(found.winner[found.winner != ""])
-        led.update(observer for each in found.leaders for observer in each)
+    wins, leads, of = Counter[str](), Counter[str](), Counter[str]()
+    for _, _, part, standings in every:
+        of.update(dict.fromkeys(part.observer, len(standings)))
+        wins.update(standings.winner[standings.winner != ""])
+        leads.update(observer for each in standings.leaders for observer in each)
     look = styles(of)
-    return sorted((Tally(o, look[o].colour, won[o], led[o], of[o]) for o in of), key=lambda t: (-t.won, -t.led))
+    return sorted((Tally(o, look[o].colour, wins[o], leads[o], of[o]) for o in of), key=lambda t: (-t.wins, -t.leads))
 
 
-def _row(result: Result, stood: Stood) -> Row:
-    scenario, signal, part, found = stood
-    look, several = styles(part.observer), len(found) > 1
-    won = found.winner[found.winner != ""].value_counts()
+def _row(result: Result, s: Ranking) -> Row:
+    scenario, signal, part, standings = s
+    look, several = styles(part.observer), len(standings) > 1
+    wins = standings.winner[standings.winner != ""].value_counts()
     multiples = _multiples(part)
-    best = str(found.best.iloc[0])
+    best = str(standings.best.iloc[0])
     if several:  # of equally many cells the least error decides
-        best = next((o for o, _ in multiples if won.get(o, 0) == won.max()), "") if len(won) else ""
+        best = next((o for o, _ in multiples if wins.get(o, 0) == wins.max()), "") if len(wins) else ""
     deterministic = not frames.has_spread(part) and not result.exact
-    ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
-    leaders = [best] if several and best else most_often(found.leaders)[0]
-    unit, own = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
+    lead = np.nanmedian(standings.factor) if standings.factor.notna().any() else np.nan
+    leaders = [best] if several and best else most_often(standings.leaders)[0]
+    unit, best_rows = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
     loop = result.stats_of(scenario, signal)
-    loop = loop[(loop.metric == LOOP) & loop.observer.isin(own.observer)]
+    loop = loop[(loop.metric == LOOP) & loop.observer.isin(best_rows.observer)]
+    significance = "one observer"
+    if multiples[1:]:
+        significance = _significance(standings, wins, best, deterministic, frames.runs_of(part))
     return Row(
         scenario=scenario,
         title=title_of_scenario(result.study, scenario),
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
         sure=bool(leaders),
-        won=_significance(found, won, best, deterministic, frames.runs_of(part)) if multiples[1:] else "one observer",
-        value=_value(own, unit),
+        significance=significance,
+        value=_value(best_rows, unit),
         loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
-        others=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
-        tells=(0 if deterministic else 100)
-        + (50 if len(won) else 0)
-        + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0),
+        ratios=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
+        tells=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
     )
 
 
-def _value(own: pd.DataFrame, unit: str) -> str:
+def _value(rows: pd.DataFrame, unit: str) -> str:
     """Return the mean of one grid point with its interval, or the range of the means of several."""
-    if own.cell.nunique() == 1:
-        return quantity(number_format.interval(own.iloc[0]), unit)
-    if len(own) and np.isfinite(own["mean"].min()):
-        return quantity(f"{number(own['mean'].min())} to {number(own['mean'].max())}", unit)
+    if rows.cell.nunique() == 1:
+        return quantity(number_format.interval(rows.iloc[0]), unit)
+    if len(rows) and np.isfinite(rows["mean"].min()):
+        return quantity(f"{number(rows['mean'].min())} to {number(rows['mean'].max())}", unit)
     return "-"
 
 
-def _significance(found: pd.DataFrame, won: pd.Series, best: str, deterministic: bool, runs: int) -> str:
-    if len(found) > 1:
+def _significance(standings: pd.DataFrame, wins: pd.Series, best: str, deterministic: bool, runs: int) -> str:
+    if len(standings) > 1:
         if not best:  # then no cell has a winner
-            names, most = most_often(found.leaders)
+            names, most = most_often(standings.leaders)
             if most:
-                return number_format.as_good(names, most, len(found))
-            if not any(found.best):
-                return str(found.text.iloc[0])
+                return number_format.as_good(names, most, len(standings))
+            if not any(standings.best):
+                return str(standings.text.iloc[0])
             return "one run: no significance" if runs == 1 else "not compared"
-        ties = int((found.winner == "").sum())
-        share = f"{int(won.get(best, 0))} of {len(found)} grid points"
-        rest = ", ".join(f"{o} {n}" for o, n in won.items() if o != best)
+        ties = int((standings.winner == "").sum())
+        share = f"{int(wins.get(best, 0))} of {len(standings)} grid points"
+        rest = ", ".join(f"{o} {n}" for o, n in wins.items() if o != best)
         return "; ".join(filter(None, [share, rest, f"ties {ties}" if ties else ""]))
-    row = found.iloc[0]
+    row = standings.iloc[0]
     if not best:
         return str(row.text)
     if runs == 1:
@@ -169,8 +170,8 @@ def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
     wide = part.pivot(index="cell", columns="observer", values="mean")
     least, out = wide.min(axis=1), []
     for observer in dict.fromkeys(part.observer):
-        own = wide[observer].fillna(np.inf)
+        mean = wide[observer].fillna(np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(least > 0, own / least, np.where(own > 0, np.inf, 1.0))
+            ratio = np.where(least > 0, mean / least, np.where(mean > 0, np.inf, 1.0))
         out.append((observer, float(np.median(ratio[least.notna()])) if least.notna().any() else np.inf))
     return sorted(out, key=lambda pair: pair[1])

@@ -80,7 +80,7 @@ def test_the_figure_marks_where_the_best_changes_and_has_a_tick_for_no_limit(res
         line.get_xdata()[0] for line in ax.lines if len(set(line.get_xdata())) == 1 and line.get_linestyle() == ":"
     ]
     np.testing.assert_allclose([x for x in dotted if x in [c.value for c in changes]], [c.value for c in changes])
-    assert "ukf is better than ekf above 15800" in captions.crossed(changes)
+    assert "ukf is better than ekf above 15800" in captions.crossings(changes)
 
 
 def test_a_particle_filter_is_better_without_a_limit_and_worse_on_a_slow_processor(result):

@@ -57,7 +57,7 @@ def complaints(figure):
 
 
 def pictures(result, paper):
-    shown = figures.SHOWN._replace(paper=paper)
+    shown = figures.DEFAULTS._replace(paper=paper)
     for place in figures.places(result, result.scenarios, shown).values():
         for _, each in figures.of_scenario(place):
             yield from each

@@ -114,7 +114,7 @@ def test_plants_of_a_closed_loop_are_no_pale_lines(loop):
 @pytest.mark.ci
 def test_consistency_is_shown_over_each_axis(loop):
     """Which filter is optimistic at a grid point that the other figures do not show."""
-    place = figures.Place(loop, "ncs-two-state/held", 0, None, None, figures.SHOWN)
+    place = figures.Place(loop, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
     pictures = {p.name: p for p in figures.of_all_signals(place)}
     picture = pictures["ncs-two-state-held-nees-over-noise_std"]
     (ax,) = picture.figure.axes
@@ -131,9 +131,9 @@ def test_without_numbers_no_consistency_is_shown_and_one_observer_is_compared_wi
     """As of exact moments that have no answer: the axes were empty, and the observer was infinitely worse than none."""
     lost = copy(loop)
     lost.stats = loop.stats.assign(mean=np.nan)
-    place = figures.Place(lost, "ncs-two-state/held", 0, None, None, figures.SHOWN)
+    place = figures.Place(lost, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
     assert [p.name for p in figures.of_all_signals(place) if "nees" in p.name] == []
-    assert [row.others for row in summary.rows(lost, summary.stood(lost, "steady_rmse", ["position"]))] == [[]]
+    assert [row.ratios for row in summary.rows(lost, summary.rankings(lost, "steady_rmse", ["position"]))] == [[]]
 
 
 @pytest.mark.ci
@@ -156,7 +156,7 @@ def test_scenarios_of_a_study_keep_its_order():
     own = study | {"scenarios": {"true": {"base": "cart/white"}, "wrong": wrong}}
     for names in (["wrong", "true"], ["true", "wrong"]):
         result = pcbench.run(own | {"scenarios": {name: own["scenarios"][name] for name in names}})
-        assert [row.scenario for row in summary.rows(result, summary.stood(result, "steady_rmse", None))] == names
+        assert [row.scenario for row in summary.rows(result, summary.rankings(result, "steady_rmse", None))] == names
 
 
 @pytest.mark.ci

@@ -135,8 +135,8 @@ def test_every_output_marks_the_same_observers_in_every_cell(means, monkeypatch)
     assert {row.cells[0]: int(row.cells[2]) for row in counted.rows} == led
     lines = [line.split() for line in re.sub(r"\x1b\[\d*m", "", terminal(result)).splitlines()]
     assert {line[0]: int(line[2]) for line in lines if line[:1] and line[0] in means} == led
-    tally = summary.tally(summary.stood(result, "steady_rmse", None))
-    assert {t.observer: t.led for t in tally} == led
+    tally = summary.tally(summary.rankings(result, "steady_rmse", None))
+    assert {t.observer: t.leads for t in tally} == led
 
 
 def _split(names, wanted):
@@ -150,16 +150,16 @@ def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 1)
     result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation at 4 of 4 grid points"
     assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
-    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
-    assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
-    found = summary.stood(result, "steady_rmse", None)[0].found
+    (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+    assert (row.significance, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
+    found = summary.rankings(result, "steady_rmse", None)[0].standings
     assert (
         captions.winners(found)
         == "Of 4 grid points: tie 4. No observer is significantly better than kf and kf-shifted-innovation at 4 of them."
     )
     assert row.value == "1 to 1.01 m", "the errors of those that share the first place"
-    (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
-    assert one.won == "as good as the best: kf, kf-shifted-innovation"
+    (one,) = summary.rows(*(lambda r: (r, summary.rankings(r, "steady_rmse", None)))(study_of(1, **CASES["draw"])))
+    assert one.significance == "as good as the best: kf, kf-shifted-innovation"
 
 
 def test_of_one_run_each_nothing_is_marked():
@@ -168,8 +168,8 @@ def test_of_one_run_each_nothing_is_marked():
     assert not [
         row for h in headline.headlines(result, "cart/white", "position", "steady_rmse") for row in h.rows if row.best
     ]
-    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
-    assert (row.won, row.sure) == ("one run: no significance", False)
+    (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+    assert (row.significance, row.sure) == ("one run: no significance", False)
 
 
 def test_a_metric_without_tests_has_no_leaders():
@@ -203,8 +203,8 @@ def test_observers_without_an_answer_have_not_diverged():
     assert captions.ranges(rows[:1], "m") == "Ranges [m]: kf no value."
     assert captions.ranges(lost[:1], "m") == "Ranges [m]: kf diverged in every run."
     result = study_of(2, kf=[NAN, NAN], pco=[NAN, NAN])
-    (row,) = summary.rows(result, summary.stood(result, "steady_rmse", None))
-    assert (row.won, row.best, row.value) == ("no value", [], "-")
+    (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+    assert (row.significance, row.best, row.value) == ("no value", [], "-")
 
 
 def test_less_error_with_more_diverged_runs_is_explained():

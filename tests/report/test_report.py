@@ -184,7 +184,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p
-        for p in figures.of_signal(figures.places(result, ["cart/white"], figures.SHOWN)["cart/white"], "position")
+        for p in figures.of_signal(figures.places(result, ["cart/white"], figures.DEFAULTS)["cart/white"], "position")
         if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes
@@ -252,7 +252,7 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
 @pytest.mark.ci
 def test_pictures_for_papers_are_those_of_the_page_with_text_as_text(folder, text, tmp_path):
     names = figures.write(
-        pcbench.open_result(folder), tmp_path, shown=figures.FigureOptions(paper=plots.Paper(3.3, 8.0))
+        pcbench.open_result(folder), tmp_path, options=figures.FigureOptions(paper=plots.Paper(3.3, 8.0))
     )
     assert sorted(names) == sorted(re.findall(r'<figure id="([^"]+)"', text))
     for name in names:
@@ -362,7 +362,7 @@ def test_a_closed_loop_shows_whether_it_settles():
     result = pcbench.run(
         {"name": "loop", "scenarios": ["ncs-two-state/held", "cart/white"], "observers": ["kf"], "seeds": 3}
     )
-    held, cart = summary.rows(result, summary.stood(result, "steady_rmse", None))
+    held, cart = summary.rows(result, summary.rankings(result, "steady_rmse", None))
     mine = result.stats_of("ncs-two-state/held", "position")
     (row,) = mine[mine.metric == "steady_tracking_rmse"].to_dict("records")
     assert held.loop == f"{number_format.interval(row)} m"

@@ -74,11 +74,11 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
         parts.part, [stats["kf", c] / stats["model-only", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
     )
     assert len(plots.bearing(result).axes) == 2
-    where = figures.Place(result, "lti", 0, None, None, figures.SHOWN)
+    where = figures.Place(result, "lti", 0, None, None, figures.DEFAULTS)
     names = {picture.name for picture in figures.of_signal(where, "a")}
     assert {f"{EACH['name']}-a-{each}" for each in ("bearing", "over-noise_std", "over-assumed_noise_scale")} <= names
     assert not {f"{EACH['name']}-a-{each}" for each in ("winners", "map")} & names
-    assert figures.cell_of(result, "lti", figures.SHOWN) == 0
+    assert figures.cell_of(result, "lti", figures.DEFAULTS) == 0
     others = SimpleNamespace(study=result.study.model_copy(update={"vary": "all"}), **{
         name: getattr(result, name) for name in ("stats", "stats_of", "scenarios", "signals", "ranks")})  # fmt: skip
     with pytest.raises(UserError, match='got vary = "all"'):
