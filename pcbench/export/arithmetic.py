@@ -156,20 +156,20 @@ def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     rest = [i for i in range(a.ndim) if i not in axes]
     flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
     out = np.empty(flat.shape[:-1], object)
-    how, none = FOLDS[eqn.primitive.name], number_entries(0)
+    operator, fill = FOLDS[eqn.primitive.name], number_entries(0)
     if not a.size:  # what a fold of no entry is
         v = eqn.invars[0].aval
-        none = number_entries(
+        fill = number_entries(
             np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0]
         )
     for i in np.ndindex(out.shape):
         each = [as_c(x) for x in flat[i]]
         if not each:
-            out[i] = none[()]
-        elif how in ("LARGER", "SMALLER"):
-            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({as_c(x)}, {y})"), each[1:], flat[i][0])
+            out[i] = fill[()]
+        elif operator in ("LARGER", "SMALLER"):
+            out[i] = reduce(lambda x, y: w.let(kind, f"{operator}({as_c(x)}, {y})"), each[1:], flat[i][0])
         else:
-            out[i] = w.let(kind, f" {how} ".join(each)) if len(each) > 1 else flat[i][0]
+            out[i] = w.let(kind, f" {operator} ".join(each)) if len(each) > 1 else flat[i][0]
     return out
 
 

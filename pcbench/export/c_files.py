@@ -113,8 +113,8 @@ def header(about: About, s: Source) -> str:
     """Return the text of the header."""
     label = about.label
     now = [
-        each._replace(says=says)
-        for each, says in zip(
+        each._replace(note=note)
+        for each, note in zip(
             s.now,
             (
                 "s",
@@ -128,7 +128,7 @@ def header(about: About, s: Source) -> str:
     ]
     texts = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
             "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
-    arrival = [each._replace(says=says) for each, says in zip(s.arrival, texts, strict=True)]
+    arrival = [each._replace(note=note) for each, note in zip(s.arrival, texts, strict=True)]
     signals = ", ".join(comment(f"{name} [{unit}]") for name, unit in about.signals)
     order = ORDER.format(
         label=label,

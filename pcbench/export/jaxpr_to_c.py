@@ -143,7 +143,7 @@ def _while(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
 
 
 def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
-    body, consts, carry, length, how = jaxpr_compat.scan(eqn.params)
+    body, consts, carry, length, params = jaxpr_compat.scan(eqn.params)
     inside, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
     if length == 1:
         out = write(w, body, [*args[: consts + carry], *(r.reshape(r.shape[1:]) for r in rows)])
@@ -159,7 +159,7 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     ]
     i, n = w.name("i"), w.name("i")
     with w.block(f"for (int64_t {i} = 0; {i} < {length}; {i}++)"):
-        w.say(f"const int64_t {n} = {f'{length - 1} - {i}' if how['reverse'] else i};")
+        w.say(f"const int64_t {n} = {f'{length - 1} - {i}' if params['reverse'] else i};")
         xs = [_row(n, t, r) for t, r in zip(tables, rows, strict=True)]
         out = write(w, body, [*args[:consts], *state, *xs])
         kinds = _kinds(body.jaxpr.outvars[carry:])

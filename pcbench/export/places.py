@@ -154,8 +154,8 @@ def _or_else(w: Writer, eqn: Eqn, values: Entries, condition: str) -> Entries:
     """The value, or the fill value if the index is outside."""
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
-    none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
-    fallback, out = as_c(number_entries(none if fill is None else fill)[()]), np.empty(values.shape, object)
+    default = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
+    fallback, out = as_c(number_entries(default if fill is None else fill)[()]), np.empty(values.shape, object)
     for i in np.ndindex(values.shape):
         out[i] = w.let(kind, f"{condition} ? {as_c(values[i])} : {fallback}")
     return out

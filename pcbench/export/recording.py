@@ -11,7 +11,7 @@ from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, r
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def prepare_recording(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
+def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Vector]:
     """Return an observer prepared for a recording, and the recording as a run, without the expected estimates.
 
     Raises UserError if the recording is too long for a table in C.
@@ -30,5 +30,5 @@ def prepare_recording(a: Playback, tells: bool) -> tuple[PlaybackSetup, Vector]:
     parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last + 1]
-    events = [event for part in parts for event in events_of(part.window, tells, part.first)]
+    events = [event for part in parts for event in events_of(part.window, notifies, part.first)]
     return p, Vector(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)

@@ -36,7 +36,7 @@ class Field(NamedTuple):
     name: str
     kind: str
     shape: tuple[int, ...]
-    says: str = ""
+    note: str = ""
 
     @property
     def size(self) -> int:
@@ -76,7 +76,7 @@ def declare_struct(name: str, struct_fields: Iterable[Field]) -> list[str]:
     for f in struct_fields:
         if f.size:
             shape = "" if len(f.shape) < 2 else f"{list(f.shape)}, row after row"
-            about = "; ".join(filter(None, (f.says, shape)))
+            about = "; ".join(filter(None, (f.note, shape)))
             array = f"[{f.size}]" if f.shape else ""
             lines.append(f"    {f.kind} {f.name}{array};{f' /* {about} */' if about else ''}")
     if len(lines) == 1:
@@ -182,10 +182,10 @@ def initial_values(
     return lane_array.to_array(first, 1)[..., 0], lane_array.to_array(past, 1)[..., 0]
 
 
-def events_of(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Event]:
+def events_of(w: Window, notifies: bool, first: int = 0, early: int = 0) -> list[Event]:
     """Return the events of the ticks from `first` on, in the order of a tick: snapshots, samples, arrivals.
 
-    `early` packets were taken before tick 0. With `tells`, the observer is notified when a sample is taken.
+    `early` packets were taken before tick 0. With `notifies`, the observer is notified when a sample is taken.
     """
     q = w.sampled.shape[1]
     none = np.zeros(q, int)
@@ -195,7 +195,7 @@ def events_of(w: Window, tells: bool, first: int = 0, early: int = 0) -> list[Ev
         k = first + row
         if w.sense[row] >= 0:
             out.append(empty._replace(tick=k, packet=int(w.sense[row])))
-        if tells and w.sampled[row].any():
+        if notifies and w.sampled[row].any():
             out.append(empty._replace(tick=k, what=SAMPLED, mask=w.sampled[row]))
         for slot in map(int, np.flatnonzero(w.arrive[row] >= 0)):
             arrival = Event(

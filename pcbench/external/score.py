@@ -58,8 +58,8 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
     with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
         out = f"{place}/estimates.parquet"
         progress.note("running the external estimator, one run at a time")
-        words = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
-        process = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
+        command = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
+        process = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ))
         if process.returncode:
             last = (process.stderr.strip().splitlines() or ["no message"])[-1]
             raise UserError(

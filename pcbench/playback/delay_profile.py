@@ -90,11 +90,11 @@ class Profile:
         """Return the samples that no delay moves out of the recording, each arriving when it was taken."""
         dt, clock = self.a.clock.dt, self.a.clock
         first, last = max(self.high.max(), 0), self.a.last + min(self.low.min(), 0)
-        later = np.array(delays) * dt
+        shift = np.array(delays) * dt
 
         def measurements() -> Iterator[Batch]:
             for b in self.batches:
-                ticks, stamps = clock.ticks(b.sampled), b.sampled - later[b.channel]
+                ticks, stamps = clock.ticks(b.sampled), b.sampled - shift[b.channel]
                 exists = np.isfinite(b.arrived) & (ticks >= first) & (ticks <= last)
                 if exists.any():
                     yield b._replace(sampled=stamps, arrived=stamps).select(exists)
@@ -115,12 +115,12 @@ class Profile:
         """Return l_p at some delays."""
         new = [each for each in dict.fromkeys(points) if each not in self.cache]
         for i in range(0, len(new), self.lanes):
-            some = new[i : i + self.lanes]
-            self.progress.begin("delays", len(some))
+            group = new[i : i + self.lanes]
+            self.progress.begin("delays", len(group))
             z = self.cache[self.best].z if self.cache else self.start
-            for delays, best in zip(some, self._maximise(some, z), strict=False):
+            for delays, best in zip(group, self._maximise(group, z), strict=False):
                 self.cache[delays] = best
-            self.progress.step(len(some))
+            self.progress.step(len(group))
         return [self.cache[each].value for each in points]
 
     def _maximise(self, points: list[Delays], start: Vector) -> list[Best]:

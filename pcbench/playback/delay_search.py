@@ -103,8 +103,8 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
 def _if_flat(profile: Profile, best: Delays) -> Delays | None:
     """Return the delays nearest to 0 with the same differences, if only differences are determined; else None."""
     first, last = int((profile.low - best).max()), int((profile.high - best).min())
-    by, values = _ask(profile, best, np.ones(len(best), int), np.linspace(first, last, FLAT).astype(int))
-    if len(by) < 2 or values.max() - values.min() > LEVEL:
+    moves, values = _ask(profile, best, np.ones(len(best), int), np.linspace(first, last, FLAT).astype(int))
+    if len(moves) < 2 or values.max() - values.min() > LEVEL:
         return None
     every = np.arange(first, last + 1)
     nearest = every[np.argmin(np.abs(np.array(best) + every[:, None]).sum(1))]
@@ -126,14 +126,14 @@ def _ask(profile: Profile, best: Delays, direction: Ints, by: Ints) -> tuple[Int
 def _search(profile: Profile, best: Delays, direction: Ints, step: int, full_range: bool) -> Delays:
     """Return the best point along a direction, on a grid of the range or near the best point, refined to one tick."""
     span = int((profile.high - profile.low).max())
-    by = np.arange(-(span // step) * step, span + 1, step) if full_range else step * np.arange(-2, 3)
+    moves = np.arange(-(span // step) * step, span + 1, step) if full_range else step * np.arange(-2, 3)
     while True:
-        by, values = _ask(profile, best, direction, by)
-        best = tuple((np.array(best) + by[np.argmax(values)] * direction).tolist())
+        moves, values = _ask(profile, best, direction, moves)
+        best = tuple((np.array(best) + moves[np.argmax(values)] * direction).tolist())
         if step == 1:
             return best
         finer = max(step // FINER, 1)
-        by, step = finer * np.arange(-(step // finer), step // finer + 1), finer
+        moves, step = finer * np.arange(-(step // finer), step // finer + 1), finer
 
 
 def _slice(profile: Profile, best: Delays, direction: Ints) -> Slice:
@@ -143,23 +143,23 @@ def _slice(profile: Profile, best: Delays, direction: Ints) -> Slice:
     (c,) = np.flatnonzero(direction)
     reach = 2 ** np.arange(int(profile.high[c] - profile.low[c]).bit_length() + 1)
     ends = np.array([profile.low[c], profile.high[c]]) - best[c]
-    by, values = _ask(profile, best, direction, np.concatenate([-reach, reach, ends]))
-    beyond = by[values < values.max() - LEVEL]
+    moves, values = _ask(profile, best, direction, np.concatenate([-reach, reach, ends]))
+    beyond = moves[values < values.max() - LEVEL]
     far = max(-beyond[beyond < 0].max(initial=ends[0]), beyond[beyond > 0].min(initial=ends[1]))
     step = max(-(-int(far) // SIDE), 1)
-    by, values = _ask(profile, best, direction, step * np.arange(-min(SIDE, far) - 1, min(SIDE, far) + 2))
+    moves, values = _ask(profile, best, direction, step * np.arange(-min(SIDE, far) - 1, min(SIDE, far) + 2))
     i, N = int(np.argmax(values)), profile.samples
-    if len(by) < 3:
-        return Slice(by + best[c], values[i] - values, float(by[i] + best[c]), np.nan, np.nan)
-    spline = CubicSpline(by, np.exp(2 * (values[i] - values) / N))
+    if len(moves) < 3:
+        return Slice(moves + best[c], values[i] - values, float(moves[i] + best[c]), np.nan, np.nan)
+    spline = CubicSpline(moves, np.exp(2 * (values[i] - values) / N))
     turns = spline.derivative().roots(extrapolate=False)
-    near = (turns > by[max(i - 1, 0)]) & (turns < by[min(i + 1, len(by) - 1)])
-    peak = float(min([*turns[near], by[i]], key=spline))
+    near = (turns > moves[max(i - 1, 0)]) & (turns < moves[min(i + 1, len(moves) - 1)])
+    peak = float(min([*turns[near], moves[i]], key=spline))
     level = spline.solve(float(spline(peak)) * np.exp(2 * LEVEL / N), extrapolate=False)
     low, high = level[level < peak].max(initial=-np.inf), level[level > peak].min(initial=np.inf)
     low, high = (best[c] + float(end) if np.isfinite(end) else np.nan for end in (low, high))
     top = values[i] - 0.5 * N * np.log(float(spline(peak)))
-    return Slice(by + best[c], top - values, peak + best[c], low, high)
+    return Slice(moves + best[c], top - values, peak + best[c], low, high)
 
 
 def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats, Floats]:
@@ -179,9 +179,9 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
     inner = np.flatnonzero(h)
     if len(inner) < 2:
         return peak, wider
-    one = np.eye(len(best), dtype=int)[inner]
-    moves = [0 * one[0], *one, *-one]
-    moves += [a * one[i] + b * one[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
+    e = np.eye(len(best), dtype=int)[inner]
+    moves = [0 * e[0], *e, *-e]
+    moves += [a * e[i] + b * e[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
     x = np.array(moves)
     drop = profile.cache[best].value - np.array(profile.ask([tuple((best + h * each).tolist()) for each in x]))
     x, weight = x[:, inner], 1.0 / (1.0 + np.abs(drop))

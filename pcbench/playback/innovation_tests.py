@@ -66,12 +66,12 @@ def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
     numbers, part = numbers[tested], held_out[tested].astype(int)
     z = numbers[:, 3] / np.sqrt(numbers[:, 1])
     every, old = np.concatenate([sums.newest, z]), len(sums.newest)
-    more = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
+    products = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
         totals=sums.totals + [np.bincount(part, numbers[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
         z_sum=sums.z_sum + float(z.sum()),
-        products=sums.products + np.array(more),
+        products=sums.products + np.array(products),
         newest=every[-LAGS:],
     )
 
@@ -189,9 +189,9 @@ def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
     H = np.array(rows).reshape(len(at), len(at))
     H = 0.5 * (H + H.T)  # observed information
     informative, sd = np.diag(H) > INFORMATIVE, np.full(len(at), np.nan)
-    some = H[np.ix_(informative, informative)]
-    if informative.any() and np.isfinite(some).all() and np.linalg.eigvalsh(some)[0] > 0:
-        sd[informative] = np.sqrt(np.diag(np.linalg.inv(some)))
+    block = H[np.ix_(informative, informative)]
+    if informative.any() and np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0:
+        sd[informative] = np.sqrt(np.diag(np.linalg.inv(block)))
     low, high = at - NORMAL * sd, at + NORMAL * sd
     for j in np.flatnonzero(~informative) if np.isfinite(sd[informative]).all() else ():
         low[j], high[j] = profile_interval(likelihood, H, at, int(j))

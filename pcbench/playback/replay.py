@@ -126,8 +126,8 @@ def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], ou
     }
     if out is not None:
         replay_metrics.write_summary(out, summary)
-    none = pd.DataFrame()
-    return ReplayResult(innovations, none, none, None, replay_metrics.plain(summary), channels)
+    empty = pd.DataFrame()
+    return ReplayResult(innovations, empty, empty, None, replay_metrics.plain(summary), channels)
 
 
 def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
@@ -175,8 +175,8 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
         w, ticks = part.window, part.first + np.arange(a.length)
         n_ticks = min(a.length, a.last + 1 - part.first)
         estimates, sigmas = (
-            {label: np.asarray(getattr(o, what))[:n_ticks] for label, o in outputs.items()}
-            for what in ("estimate", "sigma")
+            {label: np.asarray(getattr(o, field))[:n_ticks] for label, o in outputs.items()}
+            for field in ("estimate", "sigma")
         )
         true = {pair: x for pair, x in zip(signals, part.truth[:n_ticks].T, strict=False) if pair[0] in truth_signals}
         delays = {label: np.asarray(o.delay)[:n_ticks, 0] for label, o in outputs.items() if o.delay.shape[1]}

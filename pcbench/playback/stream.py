@@ -52,11 +52,11 @@ def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Par
         before = part_inputs[len(part_inputs) - p.back :]
 
 
-def at_ticks(a: Playback, table: Table | None, what: str, names: Sequence[str]) -> Iterator[Floats]:
+def at_ticks(a: Playback, table: Table | None, kind: str, names: Sequence[str]) -> Iterator[Floats]:
     """Yield columns of a table as [length, columns] for every block of ticks, NaN without a row."""
-    where = f"{a.log.name}: {what}"
+    where = f"{a.log.name}: {kind}"
     missing = [name for name in names if table and name not in table.names]
-    if table and missing and (what == "inputs" or len(missing) == len(names)):
+    if table and missing and (kind == "inputs" or len(missing) == len(names)):
         raise UserError(
             f"{where}: got the columns {', '.join(table.names)}, expected {', '.join(names)}; write {missing[0]}."
         )

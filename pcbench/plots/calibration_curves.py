@@ -69,7 +69,7 @@ def calibration(result: Result, *, scenario: str | None = None, cell: int = 0, p
         )
     stats = frames.rows(result, scenario, None, "mae")
     many = min(map(len, transforms.values()))
-    under, over = (np.asarray(binom.ppf(share, many, NOMINAL)) / many for share in (LEVEL / 2, 1 - LEVEL / 2))
+    lower, upper = (np.asarray(binom.ppf(share, many, NOMINAL)) / many for share in (LEVEL / 2, 1 - LEVEL / 2))
     low, high = (float(binom.ppf(share, many, 1 / BINS)) * BINS / many for share in (LEVEL / 2, 1 - LEVEL / 2))
     title = f"calibration at the last tick [-]: {about(result, stats, frames.named_values(result, stats, cell))}"
     with sheet(paper, title, 2, 2, keys=[Patch(color=GRID, label="95 % band, covariance true")]) as (
@@ -81,7 +81,7 @@ def calibration(result: Result, *, scenario: str | None = None, cell: int = 0, p
         for ax in (left, right):
             set_limits(ax, "x", 0.0, 1.0)
         set_limits(left, "y", 0.0, 1.0)
-        left.fill_between(NOMINAL, under, over, color=GRID, linewidth=0)
+        left.fill_between(NOMINAL, lower, upper, color=GRID, linewidth=0)
         left.plot([0, 1], [0, 1], color=SOFT, linewidth=0.7)
         right.axhspan(low, high, color=GRID, linewidth=0)
         right.axhline(1.0, color=SOFT, linewidth=0.7)

@@ -46,8 +46,8 @@ def crossing(
     value = cells[axis].to_numpy(float)
     ends = []
     for cell in cells.cell:
-        over = ratios_to(result, str(part.scenario.iloc[0]), str(part.signal.iloc[0]), metric, int(cell), above)
-        ends.append(over.loc[below, ["ratio", "ci_low", "ci_high"]].to_numpy(float))
+        ratios = ratios_to(result, str(part.scenario.iloc[0]), str(part.signal.iloc[0]), metric, int(cell), above)
+        ends.append(ratios.loc[below, ["ratio", "ci_low", "ci_high"]].to_numpy(float))
     with np.errstate(divide="ignore", invalid="ignore"):
         mean, low, high = np.log(np.array(ends)).T
         where = np.log(value)

@@ -38,9 +38,9 @@ def tolerances(parts: pd.DataFrame) -> pd.DataFrame:
     """
     out = []
     for (axis, observer), group in parts.groupby(["axis", "observer"], sort=False):
-        usual = group.value.iloc[0]
+        nominal = group.value.iloc[0]
         for sign in (1, -1):
-            side = group[sign * (group.value - usual) >= 0].sort_values("value", ascending=sign > 0, kind="stable")
+            side = group[sign * (group.value - nominal) >= 0].sort_values("value", ascending=sign > 0, kind="stable")
             if len(side) > 1:
                 out.append((axis, observer, _crossing(side.value.to_numpy(float), side.part.to_numpy(float), sign)))
     return pd.DataFrame(out, columns=["axis", "observer", "most"])

@@ -57,12 +57,12 @@ def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str
     """
     if signals is None:
         return signals_by_default(result, scenario, metric)
-    every, there = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
+    every, available = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
         if name not in every:
             raise unknown("--signal", "signal of the study", name, every)
-    there = [s for s in there if s in signals] if signals else there
-    return signals_by_default(result, scenario, metric) if there and metric in OF_RUN else there
+    available = [s for s in available if s in signals] if signals else available
+    return signals_by_default(result, scenario, metric) if available and metric in OF_RUN else available
 
 
 def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
@@ -309,8 +309,8 @@ def key_cell(result: Result, scenario: str | None = None, signal: str | None = N
     if table.factor.isna().all() and not table.alike.map(len).any():
         return int(table.cell.iloc[int(np.argmax(np.nan_to_num(table["mean"], nan=-np.inf)))])
     lead = np.where(table.winner != "", np.nan_to_num(table.factor, nan=1.0, posinf=1.0), 1.0)
-    tells = lead if (table.winner != "").any() else -table.alike.map(len)
-    return int(table.cell.iloc[int(np.argmax(tells))])
+    score = lead if (table.winner != "").any() else -table.alike.map(len)
+    return int(table.cell.iloc[int(np.argmax(score))])
 
 
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:

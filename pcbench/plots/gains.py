@@ -37,8 +37,8 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
         ax.set(title=title_of(first.metric, first.signal, first.unit), xlabel="observer")
         for tuning, group in table.groupby("tuning", sort=False):
-            word, mark, aside = TUNINGS[str(tuning)]
-            x = [place(o) + aside for o in group.observer]
+            word, mark, offset = TUNINGS[str(tuning)]
+            x = [place(o) + offset for o in group.observer]
             colours = [look[o].colour for o in group.observer]
             ax.vlines(x, group.low, group.high, colors=colours, linewidth=1.3)
             ax.scatter(

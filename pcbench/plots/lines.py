@@ -105,15 +105,15 @@ def curves(
             rows = part[part.observer == observer]
             where = np.array([place(value) for value in rows[axis]])
             rows, where = rows.iloc[np.argsort(where)], np.sort(where)
-            by = 0.0 if numeric else APART * (i - (len(look) - 1) / 2)
-            beside = offset_copy(ax.transData, figure, by, units="points")
-            ax.vlines(where, rows.ci_low, rows.ci_high, color=style.colour, linewidth=1.3, transform=beside)
+            offset = 0.0 if numeric else APART * (i - (len(look) - 1) / 2)
+            transform = offset_copy(ax.transData, figure, offset, units="points")
+            ax.vlines(where, rows.ci_low, rows.ci_high, color=style.colour, linewidth=1.3, transform=transform)
             faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
             look_of: TomlTable = {"marker": style.marker, "markersize": 4, "mfc": style.colour, "mec": style.colour}
             n_finite = len(rows) - ends_in_infinity(every)  # what is beyond all numbers is not
             ax.plot(where[:n_finite], rows["mean"][:n_finite], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
-                    transform=beside, **look_of)  # fmt: skip
-            ax.plot(where[n_finite:], rows["mean"][n_finite:], linestyle="none", transform=beside, **look_of)
+                    transform=transform, **look_of)  # fmt: skip
+            ax.plot(where[n_finite:], rows["mean"][n_finite:], linestyle="none", transform=transform, **look_of)
         if metric in BANDS:
             ax.axhline(1.0, color=SOFT, linewidth=0.9, zorder=1.2)
         for one in crossings.changes(result, axis, **selection) if axis in CROSSED else []:
@@ -209,18 +209,24 @@ def cost(
         raise unknown("cost", "operation count", by, COSTS)
     stats = frames.rows(result, scenario, signal, metric)
     rows = stats[stats.cell == cell]
-    both = rows.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
-    both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
-    look, row = styles(both.observer), rows.iloc[0]
+    points = rows.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
+    points = points[points[by] > 0]  # what costs nothing has no place on a scale of factors
+    look, row = styles(points.observer), rows.iloc[0]
     with sheet(paper, about(result, rows, frames.named_values(result, stats, cell))) as (figure, (ax,)):
-        wide = is_wide(both[by])
-        set_range(ax, "x", both[by] if wide else [0.0, *both[by]], wide, margin=0.12)
-        set_range(ax, "y", both[["mean", "ci_low", "ci_high"]], is_wide(both["mean"]), margin=0.12)
+        wide = is_wide(points[by])
+        set_range(ax, "x", points[by] if wide else [0.0, *points[by]], wide, margin=0.12)
+        set_range(ax, "y", points[["mean", "ci_low", "ci_high"]], is_wide(points["mean"]), margin=0.12)
         ax.set(title=title_of(metric, row.signal, row.unit), xlabel=COSTS[by])
-        for one in both.to_dict("records"):
-            style = look[one["observer"]]
-            ax.vlines(one[by], one["ci_low"], one["ci_high"], colors=style.colour, linewidth=1.2)
+        for p in points.to_dict("records"):
+            style = look[p["observer"]]
+            ax.vlines(p[by], p["ci_low"], p["ci_high"], colors=style.colour, linewidth=1.2)
             ax.scatter(
-                [one[by]], [one["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3, label=one["observer"]
+                [p[by]],
+                [p["mean"]],
+                c=style.colour,
+                marker=style.marker,
+                s=26,
+                zorder=3,
+                label=p["observer"],
             )
     return figure

@@ -78,8 +78,8 @@ def ratios_of(
          for row in comparisons if best in (row["observer_a"], row["observer_b"])}  # fmt: skip
     exact = bool((part.method == "exact").any())
     means = part.iloc[np.lexsort((part["mean"], part["mean"].isna()))]
-    over = _of_means(table, best) if exact else ratios_to(result, scenario, signal, metric, cell, best)
-    rows = pd.DataFrame({"observer": means.observer.to_list()}).join(over, on="observer")
+    ratio_rows = _of_means(table, best) if exact else ratios_to(result, scenario, signal, metric, cell, best)
+    rows = pd.DataFrame({"observer": means.observer.to_list()}).join(ratio_rows, on="observer")
     rows["p"] = rows.observer.map(p)
     rows["worse"] = [o not in standing.leaders and o not in standing.alike and o != best for o in rows.observer]
     runs = table.loc[rows.observer, ["n", "diverged"]].to_numpy(float)
@@ -103,8 +103,8 @@ def ratios_to(result: Result, scenario: str, signal: str, metric: str, cell: int
     wide = runs.assign(value=runs[column].where(~runs.diverged)).pivot(index="seed", columns="observer", values="value")
     out = {}
     for observer in wide.columns:
-        both = wide[[observer, best]].to_numpy(float)[:, [0, -1]]
-        a, b = both[np.isfinite(both).all(1)].T
+        values = wide[[observer, best]].to_numpy(float)[:, [0, -1]]
+        a, b = values[np.isfinite(values).all(1)].T
         e = paired_ratio(a[None], b[None])
         ends = np.array([e.mean[0], e.ci_low[0], e.ci_high[0]])
         out[str(observer)] = (*(np.sqrt(ends) if metric in POOLED else ends), e.n)

@@ -74,10 +74,10 @@ def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
 
     Raises UserError for a name that the tables do not have.
     """
-    for what, names in (("channels", log.channels), ("inputs", _names(log.inputs)), ("truth", _names(log.truth))):
-        for name in getattr(toml, what):
+    for section, names in (("channels", log.channels), ("inputs", _names(log.inputs)), ("truth", _names(log.truth))):
+        for name in getattr(toml, section):
             if name not in names:
-                raise unknown(f"{where}: {what}", "name", name, names)
+                raise unknown(f"{where}: {section}", "name", name, names)
     each = [toml.channels.get(name, Samples()) for name in log.channels]
     for name, c in zip(log.channels, each, strict=True):
         if (c.delay is None) == late:

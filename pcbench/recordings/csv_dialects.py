@@ -171,9 +171,9 @@ def _head(lines: list[str], layout: Layout, number: int | None) -> tuple[list[st
     units = [cell.strip("[]()") for cell in names]
     if len(names) != layout.many:
         return [], layout.first
-    over = before[-1] if before and not _is_comment(above[0]) else []
-    if len(over) == layout.many and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(over, units, strict=True)):
-        pairs = zip(over, units, strict=True)
+    head = before[-1] if before and not _is_comment(above[0]) else []
+    if len(head) == layout.many and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(head, units, strict=True)):
+        pairs = zip(head, units, strict=True)
         names = [f"{name} [{unit}]" if unit and "[" not in name else name for name, unit in pairs]
     return names, layout.first
 

@@ -38,11 +38,11 @@ def table_of(
                     "it or leave it empty."
                 )
             exists = ~np.isnan(values).all(1)
-            some = Rows(times(part, rows)[exists], values[exists], rows[exists])
-            if len(some.t):
-                require_forward(where, before, some)
-                before = float(some.t[-1])
-                yield some
+            chunk = Rows(times(part, rows)[exists], values[exists], rows[exists])
+            if len(chunk.t):
+                require_forward(where, before, chunk)
+                before = float(chunk.t[-1])
+                yield chunk
 
     return Table(tuple(quantities), read)
 
@@ -82,5 +82,5 @@ def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame
         yield pd.concat([each[each.index <= until] for each in rest])
         for i, each in enumerate(pending):
             if each is not None:
-                later = each[each.index > until]
-                pending[i] = later if len(later) else next(readers[i], None)
+                tail = each[each.index > until]
+                pending[i] = tail if len(tail) else next(readers[i], None)

@@ -133,9 +133,9 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     if isinstance(log_name, str) and has_tables(path.parent / log_name) and not _maps_fields(raw):
         return _open_with_corrections(path, _validate(TablesToml, raw, path), delay)
     toml = _validate(Mapping, raw, path)
-    for what in ("channels", "inputs", "truth"):
-        for name, column in getattr(toml, what).items():
-            unit(column.unit, f"{path.name}: {what}.{name}.unit")
+    for section in ("channels", "inputs", "truth"):
+        for name, column in getattr(toml, section).items():
+            unit(column.unit, f"{path.name}: {section}.{name}.unit")
     file = path.parent / toml.log
     kind = format_of(file, f"{path.name}: log")
     every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
@@ -151,14 +151,14 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
     def measurements() -> Iterator[Batch]:
         return heapq.merge(*(read() for read in channels), key=lambda batch: batch.sampled[0])
 
-    inputs, truth = (_table(getattr(toml, what), kind, source, what) for what in ("inputs", "truth"))
+    inputs, truth = (_table(getattr(toml, section), kind, source, section) for section in ("inputs", "truth"))
     units = tuple(c.unit for c in toml.channels.values())
     return Log(path.name, tuple(toml.channels), measurements, inputs, truth, units)
 
 
 def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
     """Raise UserError if a period has no effect, or if a table mixes a period with a column of times."""
-    each = {f"{what}.{name}": c for what in ("channels", "inputs", "truth") for name, c in getattr(toml, what).items()}
+    each = {f"{key}.{name}": c for key in ("channels", "inputs", "truth") for name, c in getattr(toml, key).items()}
     has_time = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
     if toml.period and all(has_time):
         raise UserError(
@@ -322,7 +322,7 @@ def _stamps(c: Column, field: str | None, kind: Format, where: str) -> tuple[str
     return name, lambda part, _: part[name]
 
 
-def _table(columns: dict[str, Column], kind: Format, source: Source, what: str) -> Table | None:
+def _table(columns: dict[str, Column], kind: Format, source: Source, section: str) -> Table | None:
     """Return inputs or truth from one topic or several; those of one topic with one time are read together."""
     if not columns:
         return None
@@ -331,14 +331,16 @@ def _table(columns: dict[str, Column], kind: Format, source: Source, what: str) 
         for key in ("std", "variance", "sampled", "arrived", "delay", "clock_offset", "only_changes"):
             if key in c.model_fields_set:
                 remedy = "name the column of the times by t instead" if key == "sampled" else "leave it out"
-                raise UserError(f"{source.where}: {what}.{name}: got {key}, expected it of channels alone; {remedy}.")
+                raise UserError(
+                    f"{source.where}: {section}.{name}: got {key}, expected it of channels alone; {remedy}."
+                )
         groups.setdefault((c.topic, c.frame, c.t, c.period), {})[name] = c
     tables = []
     for group in groups.values():
         c = next(iter(group.values()))
-        stamp, times = _stamps(c, c.t, kind, f"{source.where}: {what}")
+        stamp, times = _stamps(c, c.t, kind, f"{source.where}: {section}")
         values = {
-            name: quantity(c.field, c.formula, c.scale, c.offset, f"{source.where}: {what}.{name}")
+            name: quantity(c.field, c.formula, c.scale, c.offset, f"{source.where}: {section}.{name}")
             for name, c in group.items()
         }
         fields = list(
@@ -351,5 +353,5 @@ def _table(columns: dict[str, Column], kind: Format, source: Source, what: str) 
             times={each for each in [stamp] if each},
             default_stamp=c.t is None,
         )
-        tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {what}"))
-    return merge(tables, list(columns), hold=what == "inputs")
+        tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {section}"))
+    return merge(tables, list(columns), hold=section == "inputs")

@@ -56,7 +56,7 @@ class Frame(NamedTuple):
 
 def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
     """Return a log in tables; `delay` [s] replaces a column `arrived`. Raise UserError if a table or a column is missing."""
-    measured, inputs, truth = (_file(path, what) for what in ("measurements", "inputs", "truth"))
+    measured, inputs, truth = (_file(path, kind) for kind in ("measurements", "inputs", "truth"))
     if measured is None and isinstance(path, Mapping):
         raise UserError("the recording: got no frame 'measurements', expected one; give it.")
     if measured is None:
@@ -98,19 +98,19 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
     return Log(measured.name, channels, measurements, _table(inputs, "inputs"), _table(truth, "truth"))
 
 
-def _file(path: Path | Frames, what: str) -> Path | Frame | None:
+def _file(path: Path | Frames, kind: str) -> Path | Frame | None:
     """Return the file of one table of a log in a folder, or next to the file of the measurements; or its frame."""
     if isinstance(path, Mapping):
         if unknown_names := path.keys() - {"measurements", "inputs", "truth"}:
             raise unknown("the recording", "table", min(unknown_names), ["measurements", "inputs", "truth"])
-        frame = Frame(what, pa.table({}))
+        frame = Frame(kind, pa.table({}))
         with _convert_errors(frame):
             return (
-                frame._replace(table=pa.Table.from_pandas(path[what], preserve_index=False)) if what in path else None
+                frame._replace(table=pa.Table.from_pandas(path[kind], preserve_index=False)) if kind in path else None
             )
-    if what == "measurements" and not path.is_dir():
+    if kind == "measurements" and not path.is_dir():
         return path
-    names = (path / f"{what}{k}" if path.is_dir() else path.with_suffix(f".{what}{k}") for k in KINDS)
+    names = (path / f"{kind}{k}" if path.is_dir() else path.with_suffix(f".{kind}{k}") for k in KINDS)
     return next((name for name in names if name.is_file()), None)
 
 
@@ -148,7 +148,7 @@ def _channels(path: Path | Frame, head: str) -> tuple[str, ...]:
     return tuple(sorted(map(str, names), key=numbers_in))
 
 
-def _table(path: Path | Frame | None, what: str) -> Table | None:
+def _table(path: Path | Frame | None, kind: str) -> Table | None:
     """Return a table of t and columns of numbers."""
     if path is None:
         return None
@@ -159,7 +159,7 @@ def _table(path: Path | Frame | None, what: str) -> Table | None:
         raise UserError(f"{path.name}: got the column t alone, expected one more at least; write the values at t.")
     quantities = {name: quantity(head, None, 1.0, 0.0, path.name) for name, head in head_of.items()}
     table = table_of(lambda: columns(source), lambda part, _: part[t], quantities, path.name)
-    return merge([table], table.names, hold=what == "inputs")
+    return merge([table], table.names, hold=kind == "inputs")
 
 
 def as_tables(
@@ -179,8 +179,8 @@ def as_tables(
     if truth is not None:
         wide["truth"] = truth
     return {"measurements": pa.table(columns)} | {
-        what: pa.table({"t": t} | {name: np.ascontiguousarray(v) for name, v in zip(names, values.T, strict=True)})
-        for what, (names, t, values) in wide.items()
+        kind: pa.table({"t": t} | {name: np.ascontiguousarray(v) for name, v in zip(names, values.T, strict=True)})
+        for kind, (names, t, values) in wide.items()
     }
 
 

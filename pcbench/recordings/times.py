@@ -108,22 +108,22 @@ class TimeColumn(NamedTuple):
 def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
     """Raise UserError for times of two clocks, with the row, or with the columns that differ."""
     columns = [c for c in columns if c.times.many]
-    some = [c.times.selection[:, 1] for c in columns]
-    times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *some]))
+    selections = [c.times.selection[:, 1] for c in columns]
+    times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *selections]))
     gaps = np.diff(times)
     order = np.argsort(-gaps, kind="stable")
     for i, at in enumerate(order[:GAPS]):
         before, after = float(times[at]), float(times[at + 1])
-        both = [c for c in columns if c.times.least <= before and c.times.most >= after]
-        if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if both else HOUR):
+        mixed = [c for c in columns if c.times.least <= before and c.times.most >= after]
+        if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if mixed else HOUR):
             continue
         far = format_duration(after - before)
-        if both:  # most times of the log are right
-            s, early = both[0].times, np.concatenate(some) <= before
+        if mixed:  # most times of the log are right
+            s, early = mixed[0].times, np.concatenate(selections) <= before
             few = 2 * early.sum() <= len(early)
             time, row, side = (s.least, s.least_mark, "before") if few else (s.most, s.most_mark, "after")
             raise UserError(
-                f"{where}: row {int(row)} has {time:.10g} s among the {both[0].name}, {far} {side} the other times of the "
+                f"{where}: row {int(row)} has {time:.10g} s among the {mixed[0].name}, {far} {side} the other times of the "
                 "log, so it is of another clock; remove that row or convert its time."
             )
         first, last = ([c for c in columns if (c.times.most <= before) == side] for side in (True, False))

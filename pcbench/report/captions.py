@@ -386,5 +386,5 @@ def _words(a: Answer) -> str:
         return words.get(a.kind, "without a number")
     end = f"up to {layout.word(a.largest.value)}"
     beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", undecided beyond"
-    odd = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""
-    return end + beyond + odd
+    exception = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""
+    return end + beyond + exception

@@ -161,13 +161,13 @@ def _fact(row: Row, every: list[Cell], study_axes: Mapping[str, object]) -> Fact
     """Return the line of a field over all grid points; None if it has its default at all of them."""
     values = list({str(v): v for c in every for v in (c.scenario.value(row.name),)}.values())
     record = RECORD_OF.get(row.name)
-    usual = None if row.always or not record else getattr(every[0].scenario, record)._field_defaults.get(row.name)
-    zeros = isinstance(values[0], tuple) and usual == () and not any(np.ravel(values[0]))
-    if not row.always and len(values) == 1 and (values[0] == usual or zeros):
+    default = None if row.always or not record else getattr(every[0].scenario, record)._field_defaults.get(row.name)
+    zeros = isinstance(values[0], tuple) and default == () and not any(np.ravel(values[0]))
+    if not row.always and len(values) == 1 and (values[0] == default or zeros):
         return None
     loop = bool(every[0].scenario.loop.controller)
-    unset = "same as the delay" if usual is None and loop else "none" if usual in (None, 0.0, (), "") else ""
-    words = [unset if unset and v == usual and not row.always else row.say(v) for v in values]
+    unset = "same as the delay" if default is None and loop else "none" if default in (None, 0.0, (), "") else ""
+    words = [unset if unset and v == default and not row.always else row.say(v) for v in values]
     return Fact(row.title, " | ".join(words), row.name in study_axes and len(values) > 1)
 
 
@@ -260,11 +260,11 @@ def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
         if name in fields and value == default:
             continue
         of_scenario = f"the scenario{f' {scenario.name}' if len(study.scenarios) > 1 else ''}"
-        usual = _word(default) if name in fields and not fields[name].is_required() else "-"
+        default_text = _word(default) if name in fields and not fields[name].is_required() else "-"
         is_tuned = name in tuned and tuned[name] == value
         first_cell = " at the first grid point" if is_tuned and study.tuned and study.tuned.cells else ""
         origin = "the study" if name in study_keys else of_scenario
-        options.append(Option(observer, name, _word(value) + first_cell, usual, is_tuned, origin))
+        options.append(Option(observer, name, _word(value) + first_cell, default_text, is_tuned, origin))
     return options
 
 

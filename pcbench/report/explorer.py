@@ -221,9 +221,9 @@ def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Ta
         best[j] = grid.observers.index(first)
         for i in present:
             name = grid.observers[i]
-            more = ranking.diverges_more(each[first], each[name])
+            diverges = ranking.diverges_more(each[first], each[name])
             equal = name in (first, *standing.alike)
-            verdict[i, j] = 2 if more else 1 if not equal else 0 if standing.leaders else 3
+            verdict[i, j] = 2 if diverges else 1 if not equal else 0 if standing.leaders else 3
         for row in pairs:
             if first in (row["observer_a"], row["observer_b"]):
                 i = grid.observers.index(row["observer_b" if row["observer_a"] == first else "observer_a"])

@@ -129,14 +129,14 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(every)
-        over = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
+        axes_text = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
         figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, options.metric)
         note = captions.winners_note(standings, figure, frames.runs_of(every))
-        yield Picture(f"{name}-winners", f"Winners over {over}", figure, captions.winners(standings), note)
+        yield Picture(f"{name}-winners", f"Winners over {axes_text}", figure, captions.winners(standings), note)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
         text = captions.ranges(frames.fix_axes(every, [x, y], rest), unit)
-        yield Picture(f"{name}-map", f"{title} over {over}", figure, text, captions.map_note(figure))
+        yield Picture(f"{name}-map", f"{title} over {axes_text}", figure, text, captions.map_note(figure))
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
         values = frames.fix_axes(every, [axis], rest)

@@ -64,9 +64,9 @@ def _operations(part: pd.DataFrame, costs: pd.DataFrame) -> Headline:
     look = styles(part.observer)
     rows = [
         HeadlineRow(
-            [str(one["observer"]), *(f"{one[name]:,}" for name in COSTS)], look[str(one["observer"])].colour, False
+            [str(row["observer"]), *(f"{row[name]:,}" for name in COSTS)], look[str(row["observer"])].colour, False
         )
-        for one in costs[costs.observer.isin(look)].to_dict("records")
+        for row in costs[costs.observer.isin(look)].to_dict("records")
     ]
     note = "Multiplications of the observers' functions in one run, and the bytes they store from tick to tick."
     return Headline("Operations", ["observer", *COSTS.values()], rows, note)
@@ -87,14 +87,14 @@ def _cell(
     ranking = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     ranking = ranking.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
-    rows, less = [], []
+    rows, better = [], []
     for i, observer in enumerate(ranking.index):
         row = wide.loc[observer]
         against = number_format.difference(pairs, observer, ranking.index[0]) if i else ""
         if i and diverges_more(ranking.iloc[0], ranking.iloc[i]):
             against = "diverges more often"
         if re.match(r"\(?-\d", against):
-            less.append(str(observer))
+            better.append(str(observer))
         rate = row.loc["divergence_rate"]
         cells = [
             number_format.mark_uncertified(observer, [row.loc[metric].certified]),
@@ -120,10 +120,10 @@ def _cell(
     )
     some_diverge = heads.index("diverged") in columns
     note += " Means are over the runs that did not diverge." if some_diverge else " None of them diverged."
-    if less:
+    if better:
         note += (
             f" {ranking.index[0]} is first because fewer of its runs diverged, though not significantly fewer. The error of "
-            f"{', '.join(less)} is significantly less, so there is no winner."
+            f"{', '.join(better)} is significantly less, so there is no winner."
         )
     note = note if n else "Exact expected values over all noise."
     title = f"At {at}" if at else ""

@@ -33,7 +33,7 @@ class Row(NamedTuple):
     value: str  # its metric with interval
     loop: str  # its error of tracking with interval; empty: there is no loop with a set point, or that is its metric
     ratios: list[tuple[str, str, str]]  # name, colour, how many times larger
-    tells: float  # by which rows are ordered, the largest first
+    score: float  # by which rows are ordered, the largest first
 
 
 class Tally(NamedTuple):
@@ -74,10 +74,10 @@ def rows(result: Result, rankings: list[Ranking]) -> list[Row]:
     every = [_row(result, each) for each in rankings]
     if keeps_order(result):
         return every
-    tells: dict[str, float] = {}
+    score: dict[str, float] = {}
     for row in every:
-        tells[row.scenario] = max(tells.get(row.scenario, -np.inf), row.tells)
-    return sorted(every, key=lambda row: -tells[row.scenario])
+        score[row.scenario] = max(score.get(row.scenario, -np.inf), row.score)
+    return sorted(every, key=lambda row: -score[row.scenario])
 
 
 def keeps_order(result: Result) -> bool:
@@ -123,7 +123,7 @@ def _row(result: Result, s: Ranking) -> Row:
         value=_value(best_rows, unit),
         loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
         ratios=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
-        tells=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
+        score=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
     )
 
 

@@ -72,7 +72,7 @@ def test_values_of_an_axis_name_their_channels(result, name, label, values, firs
 
 
 def test_experiment_names_channels(result):
-    facts = {fact.what: fact.said for fact in experiment.experiment(result("one"), "lti").facts}
+    facts = {fact.what: fact.text for fact in experiment.experiment(result("one"), "lti").facts}
     assert facts["delay"] == "y1: 0 s, y2: 0.1 s | y1: 0 s, y2: 0.2 s | y1: 0 s, y2: 0.4 s"
     assert facts["sampling period"] == "0.1 s"
 

@@ -65,7 +65,7 @@ def test_experiment_shows_default_values_of_axes_in_words():
     }
     axes |= {"actuator_delay": [0.1], "loss": [0.0, 0.2]}
     study = parse.grid_of({"name": "x", "scenarios": ["cart/white"], "observers": ["kf"], "axes": axes}, {}, []).study
-    facts = {f.what: f.said for f in experiment.experiment(SimpleNamespace(study=study), "cart/white").facts}
+    facts = {f.what: f.text for f in experiment.experiment(SimpleNamespace(study=study), "cart/white").facts}
     assert facts["sampling pattern"] == "periodic | sine"
     assert facts["assumed measurement noise (std)"] == "1 times the true one | 2 times the true one"
     assert facts["distribution of the measurement noise"] == "Gaussian | Student's t, 3 degrees of freedom"
@@ -77,7 +77,7 @@ def test_noise_of_a_nonlinear_sensor_has_the_unit_of_its_output():
     """The report of a radar had "10, 0.003162", and an axis in the "unit of the output"."""
     study = parse.grid_of({"name": "x", "scenarios": ["coordinated-turn/radar"], "observers": ["ekf"]}, {}, []).study
     facts = {
-        f.what: f.said for f in experiment.experiment(SimpleNamespace(study=study), "coordinated-turn/radar").facts
+        f.what: f.text for f in experiment.experiment(SimpleNamespace(study=study), "coordinated-turn/radar").facts
     }
     assert facts["measurement noise (std)"] == "y1: 10 m, y2: 0.003162 rad"
     assert re.fullmatch(
