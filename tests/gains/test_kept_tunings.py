@@ -35,7 +35,7 @@ def evaluations(monkeypatch, cache):
 
     monkeypatch.setattr(tune.objective_eval, "evaluator", evaluator)
     monkeypatch.setattr(tune, "judge", lambda *_: [JUDGED])
-    monkeypatch.setattr(tune, "against", lambda _: "")
+    monkeypatch.setattr(tune, "rejection_reason", lambda _: "")
     return asked
 
 
