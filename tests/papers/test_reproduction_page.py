@@ -59,7 +59,7 @@ def test_what_is_quickly_computed_stands_in_the_page_as_it_comes_out():
             "cart": list(cart.theorem()),
             "chain": chain.design_claims(),
             "pi-pco": pi_pco.equations(),
-            "arm": list(arm._printed_parts()),
+            "arm": list(arm._part_claims()),
         }
     for paper, rows in quick.items():
         for row in rows:

@@ -137,7 +137,7 @@ def test_a_second_solver_agrees_and_is_certified_alike(kind):
     what, rate = TASKS[kind]
     both = [robust_lmi.solve(task("odd"), what, rate, "test", solver) for solver in solvers.SOLVERS]
     proofs = [robust_lmi.certify(found, task("odd"), what) for found in both]
-    assert all(proof.margin >= rate * (1 - robust_lmi.SHORT) for proof in proofs)
+    assert all(proof.margin >= rate * (1 - robust_lmi.RATE_TOL) for proof in proofs)
     assert both[1].cost == pytest.approx(both[0].cost, rel=1e-3)
     for name in ("rms_bound", "g"):
         if name in proofs[0].numbers:
@@ -169,8 +169,8 @@ def test_certificates_refuse_what_is_wrong():
     }
     for name, each in wrong.items():
         margin = robust_lmi.certify(each, task("odd"), "h2").margin
-        assert not margin >= 1.0 * (1 - robust_lmi.SHORT), name
-    assert robust_lmi.certify(found, task("odd"), "h2").margin >= 1.0 * (1 - robust_lmi.SHORT)
+        assert not margin >= 1.0 * (1 - robust_lmi.RATE_TOL), name
+    assert robust_lmi.certify(found, task("odd"), "h2").margin >= 1.0 * (1 - robust_lmi.RATE_TOL)
 
 
 def broken(*names):
