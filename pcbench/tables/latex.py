@@ -36,14 +36,14 @@ def latex(tables: list[Table], plain: bool = False, journal: str = "ieee") -> st
     its parts say so.
     """
     paper = JOURNALS[journal]
-    column, both = (width * POINTS_PER_INCH for width in (paper.width, paper.full))
-    limits = f"% for {journal}: tables are at most {column:.0f} pt (table) or {both:.0f} pt (table*) wide"
-    body = [_table(part, wide, plain) for t in tables for part, wide in split(t, column, both)]
+    column, page_width = (width * POINTS_PER_INCH for width in (paper.width, paper.full))
+    limits = f"% for {journal}: tables are at most {column:.0f} pt (table) or {page_width:.0f} pt (table*) wide"
+    body = [_table(part, wide, plain) for t in tables for part, wide in split(t, column, page_width)]
     return "\n".join([*([] if plain else [NEEDS]), limits, "", *body])
 
 
-def split(t: Table, column: float, both: float) -> Iterator[tuple[Table, bool]]:
-    """Yield a table's parts, each with whether it is wider than a column; `column` and `both` are widths in points."""
+def split(t: Table, column: float, page_width: float) -> Iterator[tuple[Table, bool]]:
+    """Yield a table's parts, each with whether it is wider than a column; `column` and `page_width` are widths in points."""
     widths = [_values_width(t, i) for i in range(len(t.heads))]
     widths = [max(w, *(_width(_visible(line)) for line in _lines(h, w))) for h, w in zip(t.heads, widths, strict=True)]
     stub = max(_width(words) for words in [t.stub[-1].text, *(words[-1] for words, _ in t.rows)])
@@ -56,22 +56,22 @@ def split(t: Table, column: float, both: float) -> Iterator[tuple[Table, bool]]:
 
     every = range(len(widths))
     wide = not fits(every, column)
-    for many in range(1, len(widths) + 1):
-        columns = [[int(i) for i in part] for part in np.array_split(every, many)]
-        if all(fits(part, both if wide else column) for part in columns):
+    for count in range(1, len(widths) + 1):
+        columns = [[int(i) for i in part] for part in np.array_split(every, count)]
+        if all(fits(part, page_width if wide else column) for part in columns):
             break
     parts = [(rows, part) for rows in _pages(t) for part in columns]
     for i, (rows, part) in enumerate(parts, 1):
         about = t.about + (f", part {i} of {len(parts)}" if len(parts) > 1 else "")
         rows = [(words, [each[k] for k in part]) for words, each in rows]
-        yield t._replace(about=about, heads=[t.heads[k] for k in part], rows=rows), wide and column < both
+        yield t._replace(about=about, heads=[t.heads[k] for k in part], rows=rows), wide and column < page_width
 
 
 def _pages(t: Table) -> list[list[tuple[list[str], list[Entry | None]]]]:
     """Return the rows of each page; groups of rows are not split."""
     pages, lines = [list[tuple[list[str], list[Entry | None]]]()], 0
-    for _, found in groupby(t.rows, key=lambda row: row[0][:-1]):
-        rows = list(found)
+    for _, group in groupby(t.rows, key=lambda row: row[0][:-1]):
+        rows = list(group)
         lines += len(rows) + 1
         if lines > LINES and pages[-1]:
             pages.append([])
@@ -82,12 +82,12 @@ def _pages(t: Table) -> list[list[tuple[list[str], list[Entry | None]]]]:
 
 def _values_width(t: Table, i: int) -> float:
     """Return the width of the widest value of a column in points."""
-    return max([LEAST, *(_entry_width(e) for _, each in t.rows if (e := each[i]))])
+    return max([LEAST, *(_entry_width(e) for _, entries in t.rows if (e := entries[i]))])
 
 
 def _entry_width(e: Entry) -> float:
-    shown = re.sub(r"e([-+]\d+)", " \u00d7 10\\1", e.text).replace("..", "to")
-    return _width(shown, e.best) + DAGGER * e.lost
+    text = re.sub(r"e([-+]\d+)", " \u00d7 10\\1", e.text).replace("..", "to")
+    return _width(text, e.best) + DAGGER * e.has_diverged
 
 
 def _width(text: str, bold: bool = False) -> float:
@@ -115,7 +115,10 @@ def _place(t: Table, words: list[str]) -> list[tuple[Head, str]]:
 
 def _table(t: Table, wide: bool, plain: bool) -> str:
     top, middle, bottom = (r"\hline",) * 3 if plain else (r"\toprule", r"\midrule", r"\bottomrule")
-    heads = [_text(t.stub[-1].text), *(_stacked(_lines(h, _values_width(t, i)), plain) for i, h in enumerate(t.heads))]
+    heads = [
+        _text(t.stub[-1].text),
+        *(_multiline_head(_lines(h, _values_width(t, i)), plain) for i, h in enumerate(t.heads)),
+    ]
     label = re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.title, t.signal, *PART.findall(t.about)))))
     environment = "table*" if wide else "table"
     lines = [
@@ -149,8 +152,8 @@ def _rows(t: Table, plain: bool) -> Iterator[str]:
                 for h, word in _place(t, [*words, ""])
             )
             yield rf"\multicolumn{{{len(t.heads) + 1}}}{{@{{}}l@{{}}}}{{\itshape {place}}} \\"
-        for each, entries in rows:
-            yield rf"{' & '.join([_text(each[-1]), *(_entry(e, plain) for e in entries)])} \\"
+        for stub, entries in rows:
+            yield rf"{' & '.join([_text(stub[-1]), *(_entry(e, plain) for e in entries)])} \\"
 
 
 def _over(t: Table, plain: bool) -> list[str]:
@@ -162,10 +165,10 @@ def _over(t: Table, plain: bool) -> list[str]:
     return [line, rf"\cline{{{rule}}}" if plain else rf"\cmidrule(l){{{rule}}}"]
 
 
-def _stacked(lines: list[Head], plain: bool) -> str:
+def _multiline_head(lines: list[Head], plain: bool) -> str:
     """The head of a column, one line above the other."""
-    each = [_head(h, plain) for h in lines]
-    return rf"\shortstack[r]{{{LINE_END.join(each)}}}" if each[1:] else each[0]
+    heads = [_head(h, plain) for h in lines]
+    return rf"\shortstack[r]{{{LINE_END.join(heads)}}}" if heads[1:] else heads[0]
 
 
 def _head(h: Head, plain: bool) -> str:
@@ -195,31 +198,31 @@ def _entry(entry: Entry | None, plain: bool) -> str:
     text = _estimate(entry.text, plain)
     if entry.best:
         text = rf"{{\boldmath\bfseries {text}}}"
-    return text + (r"\textsuperscript{\dag}" if entry.lost else "")
+    return text + (r"\textsuperscript{\dag}" if entry.has_diverged else "")
 
 
 def _estimate(text: str, plain: bool) -> str:
     """An estimate as `number_format` writes it, in LaTeX."""
-    if leaning := LEANING.fullmatch(text):
-        value, low, high = (_number(leaning[k], plain) for k in ("value", "low", "high"))
+    if asymmetric := LEANING.fullmatch(text):
+        value, low, high = (_number(asymmetric[k], plain) for k in ("value", "low", "high"))
         return f"{value} ({low} to {high})"
-    found = ESTIMATE.fullmatch(text)
-    if not found:
+    match = ESTIMATE.fullmatch(text)
+    if not match:
         return "--"
-    half, power = found["half"], found["power"]
+    half, power = match["half"], match["power"]
     if half in (None, "?"):
         return _number(text.removesuffix(" ± ?"), plain)
     if plain:
-        both = rf"{found['value']} \pm {half}"
-        return f"$({both}) \\times 10^{{{int(power)}}}$" if power else f"${both}$"
-    return rf"\num{{{found['value']} \pm {half}{f' e{int(power)}' if power else ''}}}"
+        formula = rf"{match['value']} \pm {half}"
+        return f"$({formula}) \\times 10^{{{int(power)}}}$" if power else f"${formula}$"
+    return rf"\num{{{match['value']} \pm {half}{f' e{int(power)}' if power else ''}}}"
 
 
 def _number(text: str, plain: bool) -> str:
-    if not (found := NUMBER.fullmatch(text)):
+    if not (match := NUMBER.fullmatch(text)):
         return "--"
     if not plain:
         return rf"\num{{{text}}}"
-    if not found[2]:
+    if not match[2]:
         return f"${text}$"
-    return rf"${found[1]} \times 10^{{{int(found[2])}}}$"
+    return rf"${match[1]} \times 10^{{{int(match[2])}}}$"

@@ -39,14 +39,14 @@ class Entry(NamedTuple):
         return estimate(self.row["mean"], self.row["ci_low"], self.row["ci_high"])
 
     @property
-    def lost(self) -> bool:
+    def has_diverged(self) -> bool:
         """Whether runs diverged, which the mean leaves out."""
         return bool(self.row["diverged"]) and self.row["metric"] not in COUNTS
 
     @property
     def runs(self) -> int:
         """Return the number of its runs; 0: it is exact."""
-        return int(self.row["n"] + self.row["diverged"] * self.lost)
+        return int(self.row["n"] + self.row["diverged"] * self.has_diverged)
 
 
 class Table(NamedTuple):
@@ -69,14 +69,14 @@ class Table(NamedTuple):
     def notes(self) -> list[str]:
         """Return what a reader has to know of it, a sentence each."""
         runs = {e.runs for e in self.entries} or {0}
-        each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
+        count = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; skewed intervals by their ends" if any(" .. " in e.text for e in self.entries) else ""
         half = ", ± half a 95 % interval" if any("±" in e.text for e in self.entries) else ""
-        notes = [f"Means over {each} runs{half}{leans}." if max(runs) else "Exact expected values."]
+        notes = [f"Means over {count} runs{half}{leans}." if max(runs) else "Exact expected values."]
         if any(e.best for e in self.entries):
             test = "not significantly worse (paired t-test, Holm, 5 %)" if max(runs) else "equal to it"
             notes += [f"Bold: the best, and each that is {test}."]
-        if any(e.lost for e in self.entries):
+        if any(e.has_diverged for e in self.entries):
             notes += ["Dagger: some runs diverged; the mean is over the others."]
             if any(e.best for e in self.entries):
                 notes += ["An observer that diverges significantly more often than the best is not bold."]
@@ -134,10 +134,10 @@ def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.D
 
 def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame, axis: str) -> Table:
     """Return the table of a signal with the values of one axis as columns."""
-    titles, others = frames.titles(result, part), [a for a in frames.varying(part) if a != axis]
+    titles, row_axes = frames.titles(result, part), [a for a in frames.varying(part) if a != axis]
     entries = [e for _, cell in part.groupby("cell", sort=False) for e in _entries(result, cell, metric)]
-    by = {tuple(_value(e.row[a]) for a in (*others, "observer", axis)): e for e in entries}
-    values, groups = (list(dict.fromkeys(found)) for found in zip(*((at[-1], at[:-2]) for at in by), strict=True))
+    by = {tuple(_value(e.row[a]) for a in (*row_axes, "observer", axis)): e for e in entries}
+    values, groups = (list(dict.fromkeys(column)) for column in zip(*((at[-1], at[:-2]) for at in by), strict=True))
     places = sorted(dict.fromkeys(at[:-1] for at in by), key=lambda place: groups.index(place[:-1]))
     unit = part.unit.iloc[0]
     title = title_of_scenario(result.study, scenario)
@@ -146,7 +146,7 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
         title=title,
         signal=signal,
         about=about,
-        stub=[*(_axis(a, titles[a]) for a in others), Head("observer")],
+        stub=[*(_axis(a, titles[a]) for a in row_axes), Head("observer")],
         heads=[Head(value) for value in values],
         rows=[_row(place, [by.get((*place, value)) for value in values]) for place in places],
         over=_axis(axis, titles[axis]),
@@ -171,13 +171,13 @@ def _value(value: object) -> str:
 def _entries(result: Result, cell: pd.DataFrame, metric: str) -> list[Entry]:
     """The entries of one cell and signal, in the study's order."""
     first, pairs = cell.iloc[0], result.pairs
-    met = pairs[
+    comparisons = pairs[
         (pairs.scenario == first.scenario)
         & (pairs.signal == first.signal)
         & (pairs.metric == metric)
         & (pairs.cell == first.cell)
     ]
-    leaders = standing(cell, met).leaders if len(cell) > 1 else ()
+    leaders = standing(cell, comparisons).leaders if len(cell) > 1 else ()
     rows: list[Row] = cell.to_dict("records")  # type: ignore[assignment]
     return [Entry(row, row["observer"] in leaders) for row in rows]
 

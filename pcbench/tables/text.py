@@ -22,7 +22,7 @@ def _table(t: Table) -> str:
         "",
         f"| {' | '.join(heads)} |",
         f"|{'|'.join([':---'] * len(t.stub) + ['---:'] * len(t.heads))}|",
-        *(f"| {' | '.join([*map(_text, words), *map(_entry, each)])} |" for words, each in t.rows),
+        *(f"| {' | '.join([*map(_text, words), *map(_entry, entries)])} |" for words, entries in t.rows),
         "",
     ]
     return "\n".join(lines)
@@ -41,7 +41,7 @@ def _entry(entry: Entry | None) -> str:
     if entry is None:
         return "-"
     mark = "**" if entry.best else ""
-    return f"{mark}{entry.text}{mark}{' †' if entry.lost else ''}"
+    return f"{mark}{entry.text}{mark}{' †' if entry.has_diverged else ''}"
 
 
 def values(tables: list[Table]) -> str:
