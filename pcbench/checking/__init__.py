@@ -38,7 +38,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
     ):  # it can name no scenario: this is said before any code is run
         raise unknown(f"{WHERE} --scenario", "scenario", scenario, SCENARIOS)
     with config.float64():
-        kind, given = kind_of(target), dict(options or {})
+        kind, values = kind_of(target), dict(options or {})
         label = target.rpartition(":")[2]
         if kind in (targets.STUDY, "scenario"):
             if scenario is not None:
@@ -47,31 +47,31 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
                     "it out."
                 )
             parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
-            found = study.findings(target, [f"{key}={toml_value(value)}" for key, value in given.items()])
-            return CheckReport(kind, label, "", found)
+            results = study.findings(target, [f"{key}={toml_value(value)}" for key, value in values.items()])
+            return CheckReport(kind, label, "", results)
         if kind == "plant":
-            s = _of_plant(target, label, scenario, given)
+            s = _of_plant(target, label, scenario, values)
             return CheckReport(kind, label, s.name if scenario else "", plant.findings(label, s))
         s = parse.scenario_of(scenario or DEFAULT)
         if kind == "observer":
-            return CheckReport(kind, label, s.name, observer.findings(load(target, given), s))
-        mine = registry.load("controller", target, WHERE)
-        return CheckReport(kind, label, s.name, controller.findings(label, mine, s, given))
+            return CheckReport(kind, label, s.name, observer.findings(load(target, values), s))
+        plugin = registry.load("controller", target, WHERE)
+        return CheckReport(kind, label, s.name, controller.findings(label, plugin, s, values))
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
     """A scenario of a user's plant, with some of its parameters changed."""
-    mine = registry.load("plant", target, WHERE)
-    s = plant.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else parse.scenario_of(name)
-    there = s.own.get("plant")
-    if there is None or (there.code.name, there.code.digest) != (mine.code.name, mine.code.digest):
+    plugin = registry.load("plant", target, WHERE)
+    s = plant.alone(label, plugin.entry, {"own": {"plant": plugin}}) if name is None else parse.scenario_of(name)
+    code, actual = plugin.code, s.own.get("plant")
+    if actual is None or (actual.code.name, actual.code.digest) != (code.name, code.digest):
         raise UserError(
             f"{WHERE} --scenario: got '{short(str(name))}', whose plant is {s.plant}, expected a scenario of {label}; name one "
             f'with plant = "{short(target)}", or leave it out.'
         )
     for key, value in numbers.items():
-        if key not in parameters_of(mine.entry):
-            raise unknown(f"{WHERE} --set", f"number of {label}", key, parameters_of(mine.entry))
+        if key not in parameters_of(plugin.entry):
+            raise unknown(f"{WHERE} --set", f"number of {label}", key, parameters_of(plugin.entry))
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise UserError(f"{WHERE} --set: got {key} = {short(str(value))}, expected a number; write one.")
     return s.having(model={**s.belief.model, **{key: float(value) for key, value in numbers.items()}})

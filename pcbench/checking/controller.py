@@ -42,8 +42,8 @@ class LawArguments(NamedTuple):
     params: PyTree
     tick: Array
     estimate: Array  # [n]
-    coming: Array  # [ROOM, m] inputs on their way
-    kept: PyTree  # what it keeps; () where it keeps nothing
+    future_inputs: Array  # [ROOM, m] inputs on their way
+    memory: PyTree  # what it keeps; () where it keeps nothing
 
 
 class Trial(NamedTuple):
@@ -52,7 +52,7 @@ class Trial(NamedTuple):
     label: str
     scenario: Scenario
     options: BaseModel
-    told: ControllerContext
+    context: ControllerContext
 
     @property
     def entry(self) -> ControllerSpec:
@@ -67,48 +67,49 @@ class Trial(NamedTuple):
     @property
     def every(self) -> int:
         """Return the ticks between two decisions, by the option `period`."""
-        return self.told.every(getattr(self.options, "period", None))
+        return self.context.every(getattr(self.options, "period", None))
 
 
-def trial(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
+def trial(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
     """Return a controller's trial and a text of its options; raise UserError if the options are invalid."""
-    same = scenario.own.get("controller")
-    control = dict(scenario.loop.control) if same and same.code == mine.code else {}
+    loop_plugin = scenario.own.get("controller")
+    control = dict(scenario.loop.control) if loop_plugin and loop_plugin.code == plugin.code else {}
     network = {name: scenario.value(name) for name in ("actuator_delay", *COMMANDS)} if scenario.loop.controller else {}
-    given = {"use": label, **{k: v for k, v in network.items() if v}, **control, **options}
-    opened = scenario.having(
+    table = {"use": label, **{k: v for k, v in network.items() if v}, **control, **options}
+    open_loop = scenario.having(
         controller="", control={}, own={k: v for k, v in scenario.own.items() if k != "controller"}
     )
-    s = controller_table.close_loop(opened.having(actuator_delay=None), given, "options", {label: mine})
+    s = controller_table.close_loop(open_loop.having(actuator_delay=None), table, "options", {label: plugin})
     cell = cell_of(s)
-    made = loop_setup.options(cell)
-    said = ", ".join(f"{name} = {brief_repr(value)}" for name, value in made.model_dump().items())
+    values = loop_setup.options(cell)
+    text = ", ".join(f"{name} = {brief_repr(value)}" for name, value in values.model_dump().items())
     return Trial(
-        label, s, made, loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
-    ), said or "it takes none"
+        label, s, values, loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
+    ), text or "it takes none"
 
 
 def numbers(t: Trial) -> PyTree:
     """Return the law's parameters as arrays; raise UserError for a leaf that is not a number."""
-    return jaxpr_checks.arrays(t.entry.prepare(t.options, t.told))
+    return jaxpr_checks.arrays(t.entry.prepare(t.options, t.context))
 
 
 def make_arguments(t: Trial) -> LawArguments:
     """Return arguments of a plausible size, with the memory that the law's `start` returns."""
-    params, m = numbers(t), t.told.model.B.shape[1]
+    params, m = numbers(t), t.context.model.B.shape[1]
     estimate = jnp.asarray(t.scenario.truth.x0) + jnp.arange(1.0, len(states_of(t.scenario)) + 1)
-    kept = t.law.start(params, estimate) if t.law.start else ()
-    return LawArguments(params, jnp.asarray(TICK), estimate, jnp.arange(1.0, ROOM * m + 1).reshape(ROOM, m), kept)
+    memory = t.law.start(params, estimate) if t.law.start else ()
+    return LawArguments(params, jnp.asarray(TICK), estimate, jnp.arange(1.0, ROOM * m + 1).reshape(ROOM, m), memory)
 
 
 def functions(t: Trial) -> Functions:
     """Return the law's functions, each as a function of `LawArguments`."""
-    law, start, dt = t.law, t.law.start, jnp.asarray(t.told.dt)
+    law, start, dt = t.law, t.law.start, jnp.asarray(t.context.dt)
 
     def command(g: LawArguments) -> PyTree:
-        now = Now(g.tick * dt, g.tick, dt, g.coming[0], lambda age: g.coming[0])  # held: the first on its way
-        kept = (g.kept,) if start else ()
-        return law.command(g.params, now, g.estimate, lambda i: g.coming[jnp.minimum(i, ROOM - 1)], *kept)
+        u = g.future_inputs[0]  # held: the first on its way
+        now = Now(g.tick * dt, g.tick, dt, u, lambda age: u)
+        memory = (g.memory,) if start else ()
+        return law.command(g.params, now, g.estimate, lambda i: g.future_inputs[jnp.minimum(i, ROOM - 1)], *memory)
 
     out: dict[str, Callable[[LawArguments], PyTree]] = {
         "target": lambda g: law.target(g.params, g.tick),
@@ -120,13 +121,13 @@ def functions(t: Trial) -> Functions:
 
 def numbers_are_arrays(t: Trial) -> str:
     """Check that `prepare` returns only arrays."""
-    many = len(jax.tree.leaves(numbers(t)))
-    return f"prepare returns {many} array{'s' * (many != 1)}, and nothing else"
+    count = len(jax.tree.leaves(numbers(t)))
+    return f"prepare returns {count} array{'s' * (count != 1)}, and nothing else"
 
 
 def shapes(t: Trial) -> str:
     """Check the shapes: one command per input, set points of the first states, and memory of unchanged shape."""
-    n, m = t.told.model.B.shape
+    n, m = t.context.model.B.shape
     law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(estimated_of(t.scenario)) - n, m))
     return f"{', '.join(functions(t))} return arrays of the right shapes"
 
@@ -134,8 +135,8 @@ def shapes(t: Trial) -> str:
 def lanes(t: Trial) -> str:
     """Check that each run of a batch gives the results that it gives alone."""
     g = make_arguments(t)
-    rows = [(g.estimate * (1 + i), perturb_lane(g.kept, i)) for i in range(WIDTH)]
-    return jaxpr_checks.lanes(functions(t), rows, lambda own: g._replace(estimate=own[0], kept=own[1]))
+    rows = [(g.estimate * (1 + i), perturb_lane(g.memory, i)) for i in range(WIDTH)]
+    return jaxpr_checks.lanes(functions(t), rows, lambda row: g._replace(estimate=row[0], memory=row[1]))
 
 
 def check_hold(t: Trial) -> str:
@@ -143,10 +144,10 @@ def check_hold(t: Trial) -> str:
     if t.every == 1:
         raise SkipCheck("its options have no period: it decides at every tick")
     g, command = make_arguments(t), jax.jit(functions(t)["command"])
-    kept, commands = g.kept, []
+    memory, commands = g.memory, []
     for tick in range(2 * t.every):
-        given_now = g._replace(tick=jnp.asarray(tick), estimate=g.estimate * (1 + tick), kept=kept)
-        u, kept = command(given_now) if t.law.start else (command(given_now), ())
+        arguments = g._replace(tick=jnp.asarray(tick), estimate=g.estimate * (1 + tick), memory=memory)
+        u, memory = command(arguments) if t.law.start else (command(arguments), ())
         commands.append(np.asarray(u))
     first = next((k for k, u in enumerate(commands) if not np.array_equal(u, commands[k - k % t.every])), None)
     require(
@@ -159,14 +160,14 @@ def check_hold(t: Trial) -> str:
 
 def settles(t: Trial) -> str:
     """Check that the eigenvalues of the closed loop with state feedback are within the unit circle."""
-    found, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
-    if found is None:
+    slowest, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
+    if slowest is None:
         raise SkipCheck("it has no linear law, because it uses commands in transit: write linear(options, context)")
     if sentence := controller_table.warning(t.scenario, "settles"):
         raise UserError(sentence)
     return (
-        f"the closed loop on {where} has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size "
-        f"{abs(found.mode):.4g}"
+        f"the closed loop on {where} has the eigenvalue {shown_mode(slowest.mode)} over {slowest.period:g} s, of size "
+        f"{abs(slowest.mode):.4g}"
     )
 
 
@@ -200,6 +201,6 @@ BASIC = ("numbers", "shapes")
 NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "purity"), "run": (*BASIC, "many runs")}
 
 
-def findings(label: str, mine: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
+def findings(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
     """Return the results of all checks of a controller that closes the loop of a scenario."""
-    return ask("options", partial(trial, label, mine, scenario, options), CHECKS, NEEDS)
+    return ask("options", partial(trial, label, plugin, scenario, options), CHECKS, NEEDS)

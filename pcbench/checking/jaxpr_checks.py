@@ -32,24 +32,24 @@ class Program(NamedTuple):
     jaxpr: Any
 
 
-def program(f: Callable[[Any], PyTree], given: PyTree) -> Program:
+def program(f: Callable[[Any], PyTree], args: PyTree) -> Program:
     """Trace a function again, without jax's cache."""
-    closed = jax.make_jaxpr(lambda g: f(g))(given)
+    closed_jaxpr = jax.make_jaxpr(lambda g: f(g))(args)
     literals: list[Any] = []
-    for part in _parts(closed.jaxpr):
+    for part in _parts(closed_jaxpr.jaxpr):
         for eqn in part.eqns:
             literals += [v.val for v in eqn.invars if isinstance(v, Literal)]
-            literals += [const for each in inner(eqn.params) if isinstance(each, ClosedJaxpr) for const in each.consts]
-    numbers = tuple(np.asarray(x) for x in (*closed.consts, *literals) if np.size(x))
-    return Program(re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), numbers, closed.jaxpr)
+            literals += [const for p in inner(eqn.params) if isinstance(p, ClosedJaxpr) for const in p.consts]
+    numbers = tuple(np.asarray(x) for x in (*closed_jaxpr.consts, *literals) if np.size(x))
+    return Program(re.sub(r"0x[0-9a-f]+", "", str(closed_jaxpr.jaxpr)), numbers, closed_jaxpr.jaxpr)
 
 
 def _parts(jaxpr: Any) -> Iterator[Any]:
     """Yield a program and all programs inside it."""
     yield jaxpr
     for eqn in jaxpr.eqns:
-        for each in inner(eqn.params):
-            yield from _parts(getattr(each, "jaxpr", each))
+        for inner_jaxpr in inner(eqn.params):
+            yield from _parts(getattr(inner_jaxpr, "jaxpr", inner_jaxpr))
 
 
 def is_same_program(a: Program, b: Program) -> bool:
@@ -61,15 +61,15 @@ def is_same_program(a: Program, b: Program) -> bool:
     )
 
 
-def arrays(prepared: PyTree) -> PyTree:
+def arrays(params: PyTree) -> PyTree:
     """Return the result of `prepare` as jax arrays; raise UserError for a leaf that is not a number."""
-    for leaf in jax.tree.leaves(prepared):
+    for leaf in jax.tree.leaves(params):
         if not is_number(leaf):
             raise UserError(
                 f"numbers: got {brief_repr(leaf)} in the result of prepare, expected arrays of numbers only; remove texts and "
                 "functions."
             )
-    return jax.tree.map(jnp.asarray, prepared)
+    return jax.tree.map(jnp.asarray, params)
 
 
 def is_number(leaf: object) -> bool:
@@ -77,12 +77,12 @@ def is_number(leaf: object) -> bool:
     return isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int)
 
 
-def purity(functions: Functions, given: PyTree) -> str:
+def purity(functions: Functions, args: PyTree) -> str:
     """Check that equal inputs give equal outputs, that no state is stored outside, and that no argument is changed."""
     for name, f in functions.items():
         try:
             with jax.checking_leaks():
-                first, second = program(f, given), program(f, given)
+                first, second = program(f, args), program(f, args)
         except Exception as error:
             if "eak" not in str(error):
                 raise
@@ -94,7 +94,7 @@ def purity(functions: Functions, given: PyTree) -> str:
                 f"purity: got two programs when {name} was traced twice, expected one; remove Python's counters and random "
                 "numbers."
             )
-        if _changes_its_arguments(f, given):
+        if _changes_its_arguments(f, args):
             raise UserError(
                 f"purity: got changed arguments from {name}, expected unchanged ones; return new ones "
                 "(x._replace, or {**x, ...})."
@@ -102,24 +102,24 @@ def purity(functions: Functions, given: PyTree) -> str:
     return "equal inputs give equal outputs; no state outside, no argument changed"
 
 
-def _changes_its_arguments(f: Callable[[Any], PyTree], given: PyTree) -> bool:
+def _changes_its_arguments(f: Callable[[Any], PyTree], args: PyTree) -> bool:
     changes: list[bool] = []
 
-    def traced(g: PyTree) -> PyTree:
-        before, form = jax.tree.flatten(g)
+    def trace(g: PyTree) -> PyTree:
+        leaves, form = jax.tree.flatten(g)
         out = f(g)
-        after, same = jax.tree.flatten(g)
-        changes.append(str(form) != str(same) or any(x is not y for x, y in zip(before, after, strict=True)))
+        new_leaves, new_form = jax.tree.flatten(g)
+        changes.append(str(form) != str(new_form) or any(x is not y for x, y in zip(leaves, new_leaves, strict=True)))
         return out
 
-    jax.eval_shape(traced, given)
+    jax.eval_shape(trace, args)
     return changes[0]
 
 
-def float64(functions: Functions, given: PyTree) -> str:
+def float64(functions: Functions, args: PyTree) -> str:
     """Check that no function rounds a number to fewer bits than its arguments have."""
     for name, f in functions.items():
-        for eqn in (eqn for part in _parts(program(f, given).jaxpr) for eqn in part.eqns):
+        for eqn in (eqn for part in _parts(program(f, args).jaxpr) for eqn in part.eqns):
             for dtype in (str(getattr(v.aval, "dtype", "")) for v in eqn.outvars):
                 if dtype in NARROW:
                     raise UserError(
@@ -129,25 +129,25 @@ def float64(functions: Functions, given: PyTree) -> str:
     return "float64 in, float64 throughout"
 
 
-def lanes(functions: Functions, rows: Sequence[PyTree], given_with: Callable[[Any], PyTree]) -> str:
+def lanes(functions: Functions, rows: Sequence[PyTree], arguments_of: Callable[[Any], PyTree]) -> str:
     """Check that each run of a batch gives the results that it gives alone.
 
-    `rows` has the arguments that differ between runs. `given_with` adds the others.
+    `rows` has the arguments that differ between runs. `arguments_of` adds the others.
     """
-    stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
+    batch_args = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
 
     def every(some: Functions) -> Callable[[PyTree], PyTree]:
-        return lambda row: {name: f(given_with(row)) for name, f in some.items()}
+        return lambda row: {name: f(arguments_of(row)) for name, f in some.items()}
 
     def entrywise(some: Functions) -> PyTree:
         def run(rows: PyTree) -> PyTree:
-            own = jax.tree.map(lambda a: split(a) if a.size else a[..., 0], rows)  # what is empty differs in none
-            return _join_lanes(vmap_entrywise(every(some))(own))
+            lane = jax.tree.map(lambda a: split(a) if a.size else a[..., 0], rows)  # what is empty differs in none
+            return _join_lanes(vmap_entrywise(every(some))(lane))
 
-        return jax.jit(run)(stacked)
+        return jax.jit(run)(batch_args)
 
     ways: dict[str, Callable[[Functions], PyTree]] = {
-        "vmap over the last axis": lambda some: jax.jit(jax.vmap(every(some), -1, -1))(stacked),
+        "vmap over the last axis": lambda some: jax.jit(jax.vmap(every(some), -1, -1))(batch_args),
         "pcbench's batches": entrywise,
     }
     expected = jax.tree.map(lambda *a: jnp.stack(a, -1), *map(jax.jit(every(functions)), rows))

@@ -31,9 +31,9 @@ def short(cell: Cell) -> Cell:
 def quiet(cell: Cell) -> Cell:
     """Return a cell in which all assumptions of the observers are true and the plant has no process noise."""
     s = cell.scenario
-    pushed = {"unknown_input": "zero"} if s.truth.unknown_input else {}
-    calm = cell.having(
-        **pushed,
+    changes = {"unknown_input": "zero"} if s.truth.unknown_input else {}
+    quiet_cell = cell.having(
+        **changes,
         parameter_drift=0.0,
         parameters={},
         process_std=(),
@@ -44,7 +44,7 @@ def quiet(cell: Cell) -> Cell:
         assumed_delay_error=0.0,
     )
     choices = cell.choices.model_copy(update={"random_initial_state": False, "initial_spread": 0.0})
-    return calm._replace(parameters={}, choices=choices)
+    return quiet_cell._replace(parameters={}, choices=choices)
 
 
 def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
@@ -52,19 +52,19 @@ def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
 
     If `known`, the observers start with the true values of the plant's unknown parameters.
     """
-    setting = planning.setting(cell)
+    context = planning.setting(cell)
     if known:
-        setting = setting._replace(unknown0=unknowns(cell, setting.unknown0))
-    each = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]
-    return [padding.fit([planning.draft(cell, options, setting)])[0] for options in each]
+        context = context._replace(unknown0=unknowns(cell, context.unknown0))
+    by_plan = [{o: cell.options[o]} for o in cell.options] if cell.scenario.loop.controller else [cell.options]
+    return [padding.fit([planning.draft(cell, options, context)])[0] for options in by_plan]
 
 
-def unknowns(cell: Cell, believed: tuple[float, ...]) -> tuple[float, ...]:
+def unknowns(cell: Cell, assumed: tuple[float, ...]) -> tuple[float, ...]:
     """Return the true initial values of the plant's unknowns, or the assumed ones if the plant gives another number."""
-    drafted = planning.draft(cell, {})
-    p, n = jax.tree.map(jnp.asarray, drafted.problem), len(states_of(cell.scenario))
-    found = truth(drafted.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
-    return tuple(map(float, found)) if len(found) == len(believed) else believed
+    draft = planning.draft(cell, {})
+    p, n = jax.tree.map(jnp.asarray, draft.problem), len(states_of(cell.scenario))
+    true = truth(draft.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
+    return tuple(map(float, true)) if len(true) == len(assumed) else assumed
 
 
 def record_run(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.float64] | None = None) -> Recording:
@@ -80,11 +80,11 @@ def record_run(p: Plan, seed: int = 0, noise: bool = True, inputs: NDArray[np.fl
 
 def errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
     """Return the absolute errors of each observer's signals, by label: [N+1, n or n + s]."""
-    found = {}
+    by_label = {}
     for label, (name, _) in zip(p.labels, p.layout.observers, strict=True):
         xhat = np.asarray(out.estimates[name])
-        found[label] = np.abs(np.asarray(out.x)[:, : xhat.shape[1]] - xhat)
-    return found
+        by_label[label] = np.abs(np.asarray(out.x)[:, : xhat.shape[1]] - xhat)
+    return by_label
 
 
 def in_parts(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:

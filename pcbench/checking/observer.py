@@ -60,16 +60,16 @@ def gains(t: Trial) -> str:
     case = t.cases[0]
     first = run_observer_design(t.candidate, case).gains
     programs = {name: program(f, make_observer_arguments(t, case, first)) for name, f in functions(t, case).items()}
-    for name, each in programs.items():
-        captured = [a for a in each.numbers if a.ndim and a.dtype.kind == "f" and not np.isin(a, ALLOWED).all()]
+    for name, p in programs.items():
+        constants = [a for a in p.numbers if a.ndim and a.dtype.kind == "f" and not np.isin(a, ALLOWED).all()]
         require(
-            not captured,
-            f"gains: got an array of shape {list(np.shape(captured[0])) if captured else []} written into {name}, expected "
+            not constants,
+            f"gains: got an array of shape {list(np.shape(constants[0])) if constants else []} written into {name}, expected "
             "every number among the gains; return it from design and read it from gains.",
         )
-    other = t.cases[-1]
-    known = other.setting._replace(noise_std=tuple(2 * s or 1.0 for s in case.setting.noise_std))
-    second = run_observer_design(t.candidate, other._replace(setting=known)).gains
+    last_case = t.cases[-1]
+    context = last_case.context._replace(noise_std=tuple(2 * s or 1.0 for s in case.context.noise_std))
+    second = run_observer_design(t.candidate, last_case._replace(context=context)).gains
     require(
         _form(first) == _form(second),
         f"gains: got {_form(second)} from another delay and noise, expected the form {_form(first)} of the first design; keep "
@@ -93,13 +93,13 @@ def lanes(t: Trial) -> str:
     """Check that each run of a batch gives the results that it gives alone; runs are on the last axis."""
     first = make_observer_arguments(t, t.cases[0])
     rows = [(perturb_lane(first.memory, i), first.value * (1 + i)) for i in range(WIDTH)]
-    return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda own: first._replace(memory=own[0], value=own[1]))
+    return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda row: first._replace(memory=row[0], value=row[1]))
 
 
 def none(p: GridPointParams) -> Shift:
     """Return a shift that changes nothing, for N + 2 packets: at most one per tick, and a spare one."""
-    many = p.schedule.sense.shape[0] + 1
-    return Shift(jnp.zeros((many, p.noise_std.shape[0])), jnp.zeros(many))
+    count = p.schedule.sense.shape[0] + 1
+    return Shift(jnp.zeros((count, p.noise_std.shape[0])), jnp.zeros(count))
 
 
 def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
@@ -113,7 +113,7 @@ def perfect_start(t: Trial) -> str:
     """Check that the error stays 0 with a true model, a true initial state and no noise, on every schedule."""
     if not t.candidate.entry.knows_schedule:
         raise SkipCheck("it declares knows_schedule = False")
-    if t.cases[0].setting.model.E is not None:
+    if t.cases[0].context.model.E is not None:
         raise SkipCheck("this plant has an unknown input, so the error cannot stay 0; name a --scenario without one")
     for case in t.cases:
         p = case.problem
@@ -125,7 +125,7 @@ def perfect_start(t: Trial) -> str:
                 f"perfect start on {case.name}: got an error of {e[k]:.2g} of the largest state at tick {k}, expected none "
                 "(true model, true start, no noise); look for an offset of one tick, or declare knows_schedule False."
             )
-    return f"no error on {_many(t)}" + (", near the operating point" if t.near else "")
+    return f"no error on {_describe_schedules(t)}" + (", near the operating point" if t.near else "")
 
 
 def delay_0(t: Trial) -> str:
@@ -138,7 +138,7 @@ def delay_0(t: Trial) -> str:
             f"delay 0: got an estimate that is not finite at tick {bad}, expected numbers when a sample of age 0 arrives; "
             "do not divide by an age."
         )
-    k = int(case.setting.period[0])
+    k = int(case.context.period[0])
     require(
         _same_until(t, case, k, none(case.problem), inputs_from=k),
         f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in "
@@ -149,18 +149,18 @@ def delay_0(t: Trial) -> str:
 
 def no_peeking(t: Trial) -> str:
     """Check that estimates do not depend on data that have not arrived: values, ages, snapshots, channels, inputs."""
-    _not_fresh(t, t.cases[0])
+    _require_masked(t, t.cases[0])
     for case in t.cases:
-        plan, every = case.problem.schedule, int(case.setting.period[0])
+        plan, every = case.problem.schedule, int(case.context.period[0])
         for k in (every // 2, 3 * every + 1):
-            later = jnp.asarray(~np.isin(np.arange(len(plan.sense) + 1), plan.arrive[: k + 1]), float)
-            shift = Shift(jnp.tile(later[:, None], len(case.problem.noise_std)), later)
+            in_transit = jnp.asarray(~np.isin(np.arange(len(plan.sense) + 1), plan.arrive[: k + 1]), float)
+            shift = Shift(jnp.tile(in_transit[:, None], len(case.problem.noise_std)), in_transit)
             require(
                 _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
                 f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later "
                 "inputs, expected the same bits; use past_u with ages of 0 or more only, and values only if mask is true.",
             )
-    return f"no estimate depends on data that have not arrived, on {_many(t)}"
+    return f"no estimate depends on data that have not arrived, on {_describe_schedules(t)}"
 
 
 def after_the_jump(t: Trial) -> str:
@@ -168,17 +168,17 @@ def after_the_jump(t: Trial) -> str:
     case = t.cases[0]
     plan, q = case.problem.schedule, len(case.problem.noise_std)
     k = int(np.flatnonzero((plan.arrive >= 0).any(1))[:3][-1])  # the tick of an arrival after a few others
-    many = len(plan.sense) + 1
-    touched = jnp.asarray(np.arange(many) == plan.arrive[k].max(), float)
-    shift = Shift(jnp.tile(touched[:, None], q), jnp.zeros(many))
-    plain, other = (_estimates(t, case, s) for s in (none(case.problem), shift))
-    moved = np.abs(other - plain).max(1)
-    if not moved.any():
+    count = len(plan.sense) + 1
+    packet_mask = jnp.asarray(np.arange(count) == plan.arrive[k].max(), float)
+    shift = Shift(jnp.tile(packet_mask[:, None], q), jnp.zeros(count))
+    plain, perturbed = (_estimates(t, case, s) for s in (none(case.problem), shift))
+    change = np.abs(perturbed - plain).max(1)
+    if not change.any():
         return "no measurement changes its estimate"
     if not t.candidate.entry.knows_schedule:
         raise SkipCheck("it declares knows_schedule = False: it may correct at any tick")
-    first = int(np.flatnonzero(moved)[0])
-    rate = first == k + 1 and moved[first + 1] > RATE * moved[first]
+    first = int(np.flatnonzero(change)[0])
+    rate = first == k + 1 and change[first + 1] > RATE * change[first]
     require(
         first == k or rate,
         f"after the jump: got an estimate that first shows an arrival of tick {k} at tick {first}, expected tick {k}; let "
@@ -205,25 +205,26 @@ def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ag
         timestamp[ages_from:] = np.maximum(timestamp[ages_from:] - 1, 0)
         plan = plan._replace(timestamp=timestamp)
     plain = _estimates(t, case)
-    other = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
-    return np.array_equal(plain[: k + 1], other[: k + 1], equal_nan=True)
+    perturbed = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
+    return np.array_equal(plain[: k + 1], perturbed[: k + 1], equal_nan=True)
 
 
-def _not_fresh(t: Trial, case: Case) -> None:
+def _require_masked(t: Trial, case: Case) -> None:
     """Raise UserError if the value of a channel without an arrival changes an estimate."""
     o, q = t.observer, len(case.problem.noise_std)
     p = jax.tree.map(jnp.asarray, case.problem)
     g = make_observer_arguments(t, case)
 
     @jax.jit
-    def after(gains: Gains, memory: PyTree, channel: Array, value: Array) -> tuple[Array, Array]:
+    def estimates(gains: Gains, memory: PyTree, channel: Array, value: Array) -> tuple[Array, Array]:
         y, mask = jnp.ones(q).at[channel].set(value), jnp.arange(q) != channel
         arrival = Arrival(y, mask, jnp.full(q, AGE), jnp.ones(q, int), g.snapshot, jnp.asarray(AGE))
-        jumped = o.jump(gains, memory, present(p, jnp.asarray(TICK), False), arrival)
-        return o.estimate(gains, jumped), o.estimate(gains, o.flow(gains, jumped, present(p, jnp.asarray(TICK), True)))
+        new_memory = o.jump(gains, memory, present(p, jnp.asarray(TICK), False), arrival)
+        next_memory = o.flow(gains, new_memory, present(p, jnp.asarray(TICK), True))
+        return o.estimate(gains, new_memory), o.estimate(gains, next_memory)
 
     for channel in range(q):
-        results = [after(g.gains, g.memory, jnp.asarray(channel), jnp.asarray(value)) for value in (0.0, 77.0)]
+        results = [estimates(g.gains, g.memory, jnp.asarray(channel), jnp.asarray(value)) for value in (0.0, 77.0)]
         require(
             all(map(np.array_equal, *results)),
             f"no peeking: got an estimate that changes with the value of channel {channel + 1} where arrival.mask is "
@@ -231,9 +232,9 @@ def _not_fresh(t: Trial, case: Case) -> None:
         )
 
 
-def _many(t: Trial) -> str:
-    refused = f" ({len(t.refused)} refused by its design)" if t.refused else ""
-    return f"{len(t.cases)} schedules{refused}"
+def _describe_schedules(t: Trial) -> str:
+    refusals = f" ({len(t.refusals)} refused by its design)" if t.refusals else ""
+    return f"{len(t.cases)} schedules{refusals}"
 
 
 def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
@@ -241,8 +242,8 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
 
     If the observer claims so, the error must be 0. Otherwise it must stay below the divergence threshold.
     """
-    label, mine = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
-    cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: mine})
+    label, plugin = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
+    cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: plugin})
     (p,) = plan_cell(quiet(short(cell)))
     out, where = record_run(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
     if claims_it(cell, label):
@@ -278,9 +279,9 @@ def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
     """Return the results of all checks of an observer on a scenario's plant."""
 
     def design() -> tuple[Trial, str]:
-        made = trial(candidate, scenario)
-        refused = f"; refused {len(made.refused)}: {made.refused[0]}" if made.refused else ""
-        return made, f"gains on {len(made.cases)} schedules of {scenario.name}{refused}"
+        t = trial(candidate, scenario)
+        refusals = f"; refused {len(t.refusals)}: {t.refusals[0]}" if t.refusals else ""
+        return t, f"gains on {len(t.cases)} schedules of {scenario.name}{refusals}"
 
     loop = {"closed loop": lambda t: closed_loop(candidate, scenario)} if scenario.loop.controller else {}
     return ask("design", design, CHECKS | loop, NEEDS)

@@ -45,20 +45,20 @@ class Candidate(NamedTuple):
     options: BaseModel
 
 
-def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
-    """Return the observer of MODULE:OBSERVER with the options `given`; raise UserError if there is none.
+def load(target: str, values: dict[str, Any] | None = None) -> Candidate:
+    """Return the observer of MODULE:OBSERVER with the options `values`; raise UserError if there is none.
 
     OBSERVER is an attribute of the module. It is an `ObserverSpec`, or an `Observer` whose module contains its `design`
     and, if it has options, its `Options`.
     """
     entry, where = registry.load("observer", target, WHERE).entry, f"{WHERE} {short(target)}"
-    named = {key.replace("-", "_"): value for key, value in (given or {}).items()}
+    by_field = {key.replace("-", "_"): value for key, value in (values or {}).items()}
     fields = getattr(entry.options, "model_fields", {})
-    for key in named:
+    for key in by_field:
         if key not in fields:
             raise unknown(where, "option", key, fields)
     try:
-        return Candidate(target.rpartition(":")[2], entry, entry.options(**named))
+        return Candidate(target.rpartition(":")[2], entry, entry.options(**by_field))
     except ValidationError as error:
         first = error.errors()[0]
         raise UserError(
@@ -75,7 +75,7 @@ class Case(NamedTuple):
     """One schedule: what its designer needs to know, and the parameters of the run with the designed gains."""
 
     name: str
-    setting: DesignContext
+    context: DesignContext
     problem: GridPointParams
 
 
@@ -85,7 +85,7 @@ class Trial(NamedTuple):
     candidate: Candidate
     plant: Plant
     cases: tuple[Case, ...]
-    refused: tuple[str, ...]  # its own sentences
+    refusals: tuple[str, ...]  # its own sentences
     near: bool = False  # whether the runs are near the operating point of a nonlinear plant
 
     @property
@@ -104,7 +104,7 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
     measured, size = scenario.sampling, NEAR if near else 1.0
     x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
     every, at_once = times.to_ticks(measured.sampling_period[0], scenario), len(measured.delay)
-    seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
+    seconds = [every * scenario.dt * delay for delay in (0, 1, 2.5)]
     usual = all(not isinstance(d, str) and times.to_ticks(d, scenario) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
         truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
@@ -116,51 +116,53 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
         ),
         duration=SPAN * every * scenario.dt,
     ).having(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
-    named = {"the scenario's own": plain}
-    for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
-        whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
-        named[name] = plain.having(delay=(whole,) * at_once)
+    scenarios = {"the scenario's own": plain}
+    for name, delay in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
+        length = every * scenario.dt * 2 if delay == seconds[2] and every % 2 else delay
+        scenarios[name] = plain.having(delay=(length,) * at_once)
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
-        named["varying intervals"] = named["one period late"].having(sampling_pattern=turn)
-    found = [_case(name, each, None, size) for name, each in named.items()]
+        scenarios["varying intervals"] = scenarios["one period late"].having(sampling_pattern=turn)
+    all_cases = [_case(name, s, None, size) for name, s in scenarios.items()]
     if takes in VARYING:
-        found.append(_case("samples out of sequence", named["one period late"], every, size))
-    most = reduce(DesignContext.roomier, (c.setting for c in found))
-    return [c._replace(setting=c.setting.roomier(most)) for c in found]
+        all_cases.append(_case("samples out of sequence", scenarios["one period late"], every, size))
+    most = reduce(DesignContext.roomier, (c.context for c in all_cases))
+    return [c._replace(context=c.context.roomier(most)) for c in all_cases]
 
 
-def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> Case:
+def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Case:
     """Return one schedule, with inputs of a given size.
 
-    With `overtaken`, every third sample arrives 1.5 `overtaken` ticks later.
+    With `spacing`, every third sample arrives 1.5 `spacing` ticks later.
     """
     cell = cell_of(scenario)
-    known = planning.setting(cell)
-    drafted = planning.draft(cell, {}, known)
-    p, n, q = drafted.problem, known.ticks, len(scenario.sampling.delay)
-    if overtaken is not None:
-        taken = common_times.samples(times.clocks(scenario), n)
-        late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
-        known = known._replace(
-            overtaking=common_times.overtaking(late), flight=known.flight + 2, latest=known.latest + 3 * overtaken // 2
+    context = planning.setting(cell)
+    draft = planning.draft(cell, {}, context)
+    p, n, q = draft.problem, context.ticks, len(scenario.sampling.delay)
+    if spacing is not None:
+        samples = common_times.samples(times.clocks(scenario), n)
+        delayed = [s._replace(arrives=s.arrives + (3 * spacing // 2 if s.number % 3 == 1 else 0)) for s in samples]
+        context = context._replace(
+            overtaking=common_times.overtaking(delayed),
+            flight=context.flight + 2,
+            latest=context.latest + 3 * spacing // 2,
         )
-        p = p._replace(schedule=common_times.schedule(late, n, q))
+        p = p._replace(schedule=common_times.schedule(delayed, n, q))
     u = size * (np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5)
     p = p._replace(schedule=common_times.pad_slots(p.schedule, SLOTS), inputs=u)
-    traced = jax.tree.map(jnp.asarray, p)
-    own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
+    arrays = jax.tree.map(jnp.asarray, p)
+    unknowns = np.asarray(truth(draft.layout, arrays.params, present(arrays, jnp.asarray(0), True), arrays.x0))[
         len(p.x0) :
     ]
-    true = own if known.field is not None or known.successor is not None else known.unknown0
-    return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
+    true = unknowns if context.field is not None or context.successor is not None else context.unknown0
+    return Case(name, context._replace(unknown0=tuple(map(float, true))), p)
 
 
 def run_observer_design(candidate: Candidate, case: Case) -> Design:
     """Return the observer's design for one schedule; raise UserError if the result is not a Design."""
     where = f"design on {case.name}"
     try:
-        made = candidate.entry.design(case.setting, candidate.options)
+        design = candidate.entry.design(case.context, candidate.options)
     except UserError:
         raise
     except BaseException as error:
@@ -169,18 +171,18 @@ def run_observer_design(candidate: Candidate, case: Case) -> Design:
         raise Broken(
             f"{where}: got {describe_exception(error)}, expected Design(gains, Certificate); correct that line."
         ) from None
-    if not isinstance(made, Design) or not isinstance(made.certificate, Certificate):
+    if not isinstance(design, Design) or not isinstance(design.certificate, Certificate):
         raise Broken(
-            f"{where}: got {type(made).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; return "
-            "that."
+            f"{where}: got {type(design).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; "
+            "return that."
         )
-    for leaf in jax.tree.leaves(made.gains):
+    for leaf in jax.tree.leaves(design.gains):
         if not is_number(leaf):
             raise Broken(
                 f"{where}: got a {type(leaf).__name__} among the gains, expected arrays of numbers only; keep words and "
                 "functions out of gains."
             )
-    return made
+    return design
 
 
 class Broken(UserError):
@@ -189,27 +191,27 @@ class Broken(UserError):
 
 def trial(candidate: Candidate, scenario: Scenario) -> Trial:
     """Design the observer for every schedule; raise UserError if it accepts none or its design is broken."""
-    kept: list[Case] = []
-    refused: dict[str, str] = {}
+    accepted: list[Case] = []
+    refusals: dict[str, str] = {}
     near = nonlinear(scenario) and not candidate.entry.nonlinear
     if near:
         fits.works_on(candidate.label, candidate.entry, scenario, "design")
     for case in cases(scenario, candidate.entry.takes, near):
         try:
-            made = run_observer_design(candidate, case)
+            design = run_observer_design(candidate, case)
         except Broken:
             raise
         except UserError as error:
-            refused[case.name] = str(error)
+            refusals[case.name] = str(error)
             continue
-        kept.append(case._replace(problem=case.problem._replace(gains={candidate.label: made.gains})))
-    if not kept:
-        name, why = next(iter(refused.items()))
+        accepted.append(case._replace(problem=case.problem._replace(gains={candidate.label: design.gains})))
+    if not accepted:
+        name, why = next(iter(refusals.items()))
         raise UserError(
-            f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
+            f"design: got a refusal of all {len(refusals)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
             "taken; name a --scenario that the observer is made for."
         )
-    return Trial(candidate, entry_of(scenario).plant, tuple(kept), tuple(refused.values()), near)
+    return Trial(candidate, entry_of(scenario).plant, tuple(accepted), tuple(refusals.values()), near)
 
 
 class ObserverArguments(NamedTuple):

@@ -81,21 +81,21 @@ def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
     params = jaxpr_checks.arrays(entry.prepare(numbers, scenario.dt, 2 * TICK))
     model, n = entry.nominal(numbers), len(states_of(scenario))
     (m, q) = (np.shape(model.B)[-1], len(model.C))
-    for name, found, shape in (("A", model.A, (n, n)), ("B", model.B, (n, m)), ("C", model.C, (q, n))):
-        if np.shape(found) != shape:
+    for name, matrix, shape in (("A", model.A, (n, n)), ("B", model.B, (n, m)), ("C", model.C, (q, n))):
+        if np.shape(matrix) != shape:
             raise UserError(
-                f"numbers: got {name} of shape {list(np.shape(found))} in the linear model of {n} states, expected "
+                f"numbers: got {name} of shape {list(np.shape(matrix))} in the linear model of {n} states, expected "
                 f"{list(shape)}; give each state a name and a row."
             )
     _, u0 = _point(entry, n, m)
     spread = np.array([std or SHARE for std in scenario.belief.prior_std])
-    made = Trial(label, scenario, params, model, spread, SHARE * np.where(u0, abs(u0), 1.0))
-    axes = f"; axes: {', '.join(f'plant.{name}' for name in made.axes)}" if made.axes else ""
-    return made, f"{n} states, {m} inputs, {q} outputs{axes}"
+    t = Trial(label, scenario, params, model, spread, SHARE * np.where(u0, abs(u0), 1.0))
+    axes = f"; axes: {', '.join(f'plant.{name}' for name in t.axes)}" if t.axes else ""
+    return t, f"{n} states, {m} inputs, {q} outputs{axes}"
 
 
-def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
-    """Return a scenario of the plant without observers, with the fields `carried`."""
+def alone(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:
+    """Return a scenario of the plant without observers, with other `fields`."""
     model, n = entry.nominal(entry.numbers), len(entry.signals)
     q, m, dt = len(model.C), np.shape(model.B)[-1], entry.tick or 1e-3
     x0, _ = _point(entry, n, m)
@@ -113,7 +113,7 @@ def alone(label: str, entry: PlantSpec, carried: dict[str, Any]) -> Scenario:
         belief=Belief(start, start, unknown_std=unknowns),
         scoring=Scoring((*start, *unknowns, *(1.0,) * len(entry.errors)), np.inf, steady_start=dt),
         dt=dt,
-    ).having(**carried)
+    ).having(**fields)
 
 
 def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -131,12 +131,12 @@ def now_of(t: Trial, u: Array) -> Now:
 def functions(t: Trial) -> Functions:
     """Return the plant's functions, each as a function of `PlantArguments`."""
     plant = t.entry.plant
-    each = {"step": plant.step, "output": plant.output, "field": plant.field, "unknown": plant.unknown}
+    by_name = {"step": plant.step, "output": plant.output, "field": plant.field, "unknown": plant.unknown}
 
     def of(f: Callable[..., Array]) -> Callable[[PlantArguments], Array]:
         return lambda g: f(g.params, now_of(t, g.u), g.x)
 
-    return {name: of(f) for name, f in each.items() if f is not None}
+    return {name: of(f) for name, f in by_name.items() if f is not None}
 
 
 def motion(t: Trial) -> str:
@@ -207,13 +207,13 @@ def slopes(t: Trial) -> str:
         A, B = discretize_zoh(A, B, t.scenario.dt)
     for name, model in ((motion(t), (A, B)), ("output", (t.model.C, t.model.feedthrough))):
         function = functions(t)[name]
-        f, derived = jax.jit(function), jax.jit(jax.jacfwd(function))
+        f, jacobian = jax.jit(function), jax.jit(jax.jacfwd(function))
         for i, g in enumerate(points(t)[: 1 + WIDTH]):
-            of_jax = derived(g)
+            of_jax = jacobian(g)
             slopes_x, slopes_u = model if not i and is_slope else (of_jax.x, of_jax.u)
-            who = "the linear model" if not i and is_slope else "jax"
-            _compare(t, name, f, g, "x", t.spread, np.asarray(slopes_x) * t.spread, who)
-            _compare(t, name, f, g, "u", t.reach, np.asarray(slopes_u) * t.reach, who)
+            source = "the linear model" if not i and is_slope else "jax"
+            _compare(t, name, f, g, "x", t.spread, np.asarray(slopes_x) * t.spread, source)
+            _compare(t, name, f, g, "u", t.reach, np.asarray(slopes_u) * t.reach, source)
     return "jax and the linear model agree with finite differences"
 
 
@@ -224,25 +224,25 @@ def _compare(
     g: PlantArguments,
     name: str,
     size: np.ndarray,
-    said: np.ndarray,
-    who: str,
+    expected: np.ndarray,
+    source: str,
 ) -> None:
     """Raise UserError if derivatives, times the spread of the state, differ from finite differences."""
     at, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
 
-    def beside(j: int, sign: int) -> np.ndarray:
-        moved = getattr(g, name).at[j].add(sign * STEP * size[j])
-        return np.asarray(f(g._replace(**{name: moved})))
+    def value_near(j: int, sign: int) -> np.ndarray:
+        shifted = getattr(g, name).at[j].add(sign * STEP * size[j])
+        return np.asarray(f(g._replace(**{name: shifted})))
 
-    up, down = ((np.stack([beside(j, s) for j in range(len(size))], 1) - at[:, None]) * s / STEP for s in (1, -1))
-    scale = np.abs(said).max() + np.abs(at)[:, None] + np.abs(up)
-    for found, allowed in (((up + down) / 2, CLOSE), (up, KINK), (down, KINK)):
-        bad = np.argwhere(~(np.abs(found - said) <= allowed * scale + 1e-300))
+    up, down = ((np.stack([value_near(j, s) for j in range(len(size))], 1) - at[:, None]) * s / STEP for s in (1, -1))
+    scale = np.abs(expected).max() + np.abs(at)[:, None] + np.abs(up)
+    for difference, tol in (((up + down) / 2, CLOSE), (up, KINK), (down, KINK)):
+        bad = np.argwhere(~(np.abs(difference - expected) <= tol * scale + 1e-300))
         if bad.size:
             i, j = bad[0]
             raise UserError(
-                f"slopes: got {said[i, j] / size[j]:.6g} from {who} and {found[i, j] / size[j]:.6g} from differences for the "
-                f"slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, expected the same; "
+                f"slopes: got {expected[i, j] / size[j]:.6g} from {source} and {difference[i, j] / size[j]:.6g} from differences "
+                f"for the slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, expected the same; "
                 "smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
             )
 
@@ -255,8 +255,8 @@ def axes(t: Trial) -> str:
     fs = [jax.jit(f) for name, f in functions(t).items() if name != "unknown"]
     for name in t.axes:
         value = getattr(numbers, name)
-        other = t.entry.prepare(numbers._replace(**{name: 1.01 * value or 0.01}), t.scenario.dt, 10)
-        params = jax.tree.map(jnp.asarray, other)
+        perturbed = t.entry.prepare(numbers._replace(**{name: 1.01 * value or 0.01}), t.scenario.dt, 10)
+        params = jax.tree.map(jnp.asarray, perturbed)
         if all(np.array_equal(f(g), f(g._replace(params=params))) for f in fs for g in points(t)):
             idle.append(f"plant.{name}")
     if idle:
@@ -268,12 +268,12 @@ def axes(t: Trial) -> str:
 
 def rest(t: Trial) -> str:
     """Check that the operating point is an equilibrium."""
-    moving = np.asarray(functions(t)[motion(t)](points(t)[0]))
+    rate = np.asarray(functions(t)[motion(t)](points(t)[0]))
     if t.entry.residual is not None:
-        moving = t.entry.residual(numbers_of(t.scenario))
-    bad = np.flatnonzero(np.abs(moving) > REST * (1 + np.abs(t.model.A).max()))
+        rate = t.entry.residual(numbers_of(t.scenario))
+    bad = np.flatnonzero(np.abs(rate) > REST * (1 + np.abs(t.model.A).max()))
     if bad.size:
-        rates = ", ".join(f"{t.states[i]} by {moving[i]:.4g}" for i in bad)
+        rates = ", ".join(f"{t.states[i]} by {rate[i]:.4g}" for i in bad)
         raise CheckNote(
             f"no equilibrium: {rates} a {'tick' if motion(t) == 'step' else 'second'} at the operating point: observers that "
             "need a linear model refuse the plant there, ekf does not"
@@ -286,8 +286,8 @@ def tick(t: Trial) -> str:
     if motion(t) == "step":
         raise SkipCheck("it is defined by its step: a tick has no integration error")
     dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
-    own, by = jax.jit(functions(t)["step"]), stepping(t)
-    off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
+    step, by = jax.jit(functions(t)["step"]), stepping(t)
+    off = max(_off(t, g, step(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:
         fine = next((h for h in finer(dt) if integration_error(t, by, h) <= EXACT), None)
         advice = (
@@ -322,8 +322,8 @@ def _off(t: Trial, g: PlantArguments, one: ArrayLike, two: ArrayLike) -> float:
 
 def integration_error(t: Trial, by: Callable[[PlantArguments, float], PlantArguments], dt: float) -> float:
     """Return the summed error of all ticks of the duration, each a Runge-Kutta step of dt."""
-    each = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
-    return max(each) * t.scenario.duration / dt
+    errors = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
+    return max(errors) * t.scenario.duration / dt
 
 
 def finer(dt: float) -> list[float]:
@@ -335,10 +335,10 @@ def finer(dt: float) -> list[float]:
 def check_observability(t: Trial) -> str:
     """Check that every mode of the linear model is visible in an output."""
     hidden = unobservable(t.model.A, t.model.C)
-    lasting = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
-    if lasting:
+    undamped = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
+    if undamped:
         raise CheckNote(
-            f"no output shows the mode {' and '.join(lasting)}, which does not decay: no observer can estimate the state; "
+            f"no output shows the mode {' and '.join(undamped)}, which does not decay: no observer can estimate the state; "
             "measure another output"
         )
     if hidden:
@@ -354,8 +354,8 @@ def perfect_start(t: Trial) -> str:
     if t.model.known is not None:
         raise SkipCheck("its unknown input has a known part, which the linear model leaves out")
     away = t.entry.model is not None or t.entry.successor is not None
-    still = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
-    name, size = ("ekf", 1.0) if away and not still else ("model-only", NEAR if away else 1.0)
+    at_rest = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
+    name, size = ("ekf", 1.0) if away and not at_rest else ("model-only", NEAR if away else 1.0)
     q, every = len(t.model.C), EVERY * t.scenario.dt
     plain = t.scenario._replace(
         loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), duration=4 * every
@@ -365,8 +365,8 @@ def perfect_start(t: Trial) -> str:
     (p,) = plan_cell(quiet(cell))
     u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)
     e = in_parts(p, record_run(p, noise=False, inputs=u))[name]
-    allowed = LINEAR if size == NEAR else ROUNDING
-    for k, i in np.argwhere(~(e <= allowed)):
+    tol = LINEAR if size == NEAR else ROUNDING
+    for k, i in np.argwhere(~(e <= tol)):
         raise UserError(
             f"perfect start: got an error of {e[k, i]:.2g} of the largest state in {t.states[i]} at tick {k}, where {name} "
             "has the true plant and start, expected none; let step be what field or the linear model gives, under now.u."
@@ -380,7 +380,7 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "float64": lambda t: jaxpr_checks.float64(functions(t), points(t)[1]),
     "finite": finite,
     "many runs": lambda t: jaxpr_checks.lanes(
-        functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda own: PlantArguments(t.params, *own)
+        functions(t), [(g.x, g.u) for g in points(t)[1 : 1 + WIDTH]], lambda row: PlantArguments(t.params, *row)
     ),
     "axes": axes,
     "slopes": slopes,

@@ -21,7 +21,7 @@ LINEAR = 1e-5  # what a linear model may be off where a run is near the operatin
 MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 
-def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
+def load_grid(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
     """Return a study with its cells and a text of its sizes; raise UserError that names the wrong entry."""
     grid = all_observers.grid_of(study, {}, list(overrides))
     names = ", ".join(dict.fromkeys(c.scenario.name for c in grid.cells))
@@ -31,8 +31,8 @@ def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
 
 def gains(grid: Grid) -> str:
     """Check that every observer has gains, in the first and the last cell of each scenario and some in between."""
-    asked = [cell for mine in _by_scenario(grid) for cell in _spread(mine)]
-    for cell in asked:
+    sample = [cell for cells in _by_scenario(grid) for cell in _spread(cells)]
+    for cell in sample:
         for label, options in cell.options.items():
             try:
                 planning.draft(cell, {label: options})
@@ -41,7 +41,7 @@ def gains(grid: Grid) -> str:
                     f"gains: got a refusal of {label} in {cell.scenario.name}{_where(cell)}: '{str(error).rstrip('.')}', "
                     "expected gains in every cell; leave it, or that value of an axis, out, or give it other options."
                 ) from None
-    return f"found in {len(asked)} of {len(grid.cells)} cells"
+    return f"found in {len(sample)} of {len(grid.cells)} cells"
 
 
 def _by_scenario(grid: Grid) -> list[list[Cell]]:
@@ -50,7 +50,7 @@ def _by_scenario(grid: Grid) -> list[list[Cell]]:
 
 def _first(grid: Grid) -> list[Cell]:
     """The first cell of each scenario."""
-    return [mine[0] for mine in _by_scenario(grid)]
+    return [cells[0] for cells in _by_scenario(grid)]
 
 
 def _spread(cells: list[Cell]) -> list[Cell]:
@@ -65,13 +65,13 @@ def _where(cell: Cell) -> str:
 def settles(grid: Grid) -> str:
     """Check that every loop is stable: with state feedback the eigenvalues are within the unit circle."""
     scenarios = {(c.scenario.name, str(c.scenario.loop)): c.scenario for c in grid.cells}
-    found = {name: controller_table.slowest(s, "settles") for (name, _), s in scenarios.items()}
-    known = {name: each for name, each in found.items() if each}
+    slowest = {name: controller_table.slowest(s, "settles") for (name, _), s in scenarios.items()}
+    loops = {name: loop for name, loop in slowest.items() if loop}
     if sentences := parse.unstable(grid):
         raise UserError(sentences[0])
-    if not known:
+    if not loops:
         raise SkipCheck("no controller here has a known linear law")
-    return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in known.items())
+    return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in loops.items())
 
 
 def perfect_start(grid: Grid) -> str:
@@ -80,7 +80,7 @@ def perfect_start(grid: Grid) -> str:
     The model and the initial state are true, and there is no noise. An error of a built-in observer is not a mistake of
     the study. The check then reports it as a note.
     """
-    asked: list[str] = []
+    exact: list[str] = []
     inexact: list[str] = []
     grows: list[str] = []
     for cell in _first(grid):
@@ -98,24 +98,24 @@ def perfect_start(grid: Grid) -> str:
                 elif label in claims and not (e <= ROUNDING).all():
                     inexact.append(f"{label} in {cell.scenario.name} ({np.max(e):.2g} of the largest state)")
         else:
-            asked.append(f"{cell.scenario.name}: {', '.join(claims)}")
-    if grows and not asked:
+            exact.append(f"{cell.scenario.name}: {', '.join(claims)}")
+    if grows and not exact:
         raise SkipCheck(f"the state of {', '.join(grows)} is not finite without noise; take a shorter tick")
-    if not asked:
+    if not exact:
         raise SkipCheck("no observer here claims one, or an unknown input pushes the plant")
     if inexact:
         raise CheckNote(
             f"without noise, from the true start, an error remains of {', '.join(inexact)}: these observers are pcbench's and "
             "approximate this plant, of fast modes or curved; take a shorter tick, or other observers"
         )
-    return f"no error in {'; '.join(asked)}"
+    return f"no error in {'; '.join(exact)}"
 
 
 def claims_it(cell: Cell, label: str) -> bool:
     """Return whether an observer claims a perfect start on a cell's plant."""
     s, entry = cell.scenario, cell.entry(label)
-    pushed = entry_of(s).nominal(numbers_of(s)).E is not None
-    return entry.knows_schedule and not pushed and (entry.nonlinear or not nonlinear(s))
+    has_unknown_input = entry_of(s).nominal(numbers_of(s)).E is not None
+    return entry.knows_schedule and not has_unknown_input and (entry.nonlinear or not nonlinear(s))
 
 
 def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
@@ -129,10 +129,10 @@ def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
 
 def runs(grid: Grid) -> str:
     """Run some seeds of the first cell of each scenario: the plant must stay finite; observers that diverge are named."""
-    lost: list[str] = []
+    diverging: list[str] = []
     for cell in _first(grid):
-        mine = short(cell)
-        for p in plan_cell(mine, known=False):
+        short_cell = short(cell)
+        for p in plan_cell(short_cell, known=False):
             outs = [record_run(p, seed) for seed in range(SEEDS)]
             n = len(states_of(cell.scenario))
             for k in (k for out in outs for k in np.flatnonzero(~np.isfinite(np.asarray(out.x)[:, :n]).all(1))):
@@ -141,10 +141,11 @@ def runs(grid: Grid) -> str:
                     "numbers; close the loop, or give another start, a shorter tick or horizon."
                 )
             for label in p.labels:
-                left = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]
-                lost += [f"{label} in {cell.scenario.name} ({sum(left)} of {SEEDS} runs)"] if any(left) else []
-    if lost:
-        raise CheckNote(f"the error exceeds the divergence threshold of {', '.join(lost)}")
+                diverged = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]
+                if any(diverged):
+                    diverging.append(f"{label} in {cell.scenario.name} ({sum(diverged)} of {SEEDS} runs)")
+    if diverging:
+        raise CheckNote(f"the error exceeds the divergence threshold of {', '.join(diverging)}")
     return f"{SEEDS} of each scenario: no error exceeds its divergence threshold"
 
 
@@ -159,4 +160,4 @@ NEEDS = {"": (), "perfect start": ("gains",), "runs": ("gains",)}
 
 def findings(study: Described, overrides: Sequence[str] = ()) -> list[Finding]:
     """Return the results of all checks of a study."""
-    return ask("reads", partial(reading, study, overrides), CHECKS, NEEDS)
+    return ask("reads", partial(load_grid, study, overrides), CHECKS, NEEDS)

@@ -32,18 +32,20 @@ def kind_of(target: str) -> str:
             "name the module, or its file, and what it is called in it."
         )
     code = user_code.code_of(target, WHERE)
-    here = Path(user_code.split(target, WHERE)[0]).resolve().parent if code.files else None
-    types = tuple(each for kind in KINDS.values() for each in kind.types)
-    found, there = user_code.attribute_of(user_code.module_of(code, WHERE, here), code.name, types)
-    if found is None:
-        raise unknown(f"{WHERE} {code.module}", f"{', '.join([*KINDS][:-1])} or {[*KINDS][-1]} there", code.name, there)
+    folder = Path(user_code.split(target, WHERE)[0]).resolve().parent if code.files else None
+    types = tuple(t for kind in KINDS.values() for t in kind.types)
+    candidate, names = user_code.attribute_of(user_code.module_of(code, WHERE, folder), code.name, types)
+    if candidate is None:
+        raise unknown(f"{WHERE} {code.module}", f"{', '.join([*KINDS][:-1])} or {[*KINDS][-1]} there", code.name, names)
     for name, kind in KINDS.items():
-        if isinstance(found, kind.types):
+        if isinstance(candidate, kind.types):
             return name
     expected = " or ".join(
         f"{'an' if name[0] in 'aeiou' else 'a'} {name} ({kind.expected})" for name, kind in KINDS.items()
     )
-    raise UserError(f"{WHERE}: got {describe_kind(found)} called {code.name}, expected {expected}; name one of those.")
+    raise UserError(
+        f"{WHERE}: got {describe_kind(candidate)} called {code.name}, expected {expected}; name one of those."
+    )
 
 
 PASSES, FAILS, SKIPPED, NOTE = "passes", "fails", "skipped", "note"
@@ -83,21 +85,21 @@ def ask(
     A check runs if `first` and the checks of its entry in `needs` have passed; the entry "" is for checks without one.
     Exceptions of a user's code become a verdict with a reason.
     """
-    made: list[T] = []
+    trials: list[T] = []
 
-    def making() -> str:
+    def make_trial() -> str:
         it, why = make()
-        made.append(it)
+        trials.append(it)
         return why
 
-    out = [_verdict(first, making)]
+    out = [_verdict(first, make_trial)]
     for name, check in checks.items():
-        failed = [f.check for f in out if f.verdict == FAILS]
-        lacking = next((need for need in (first, *needs.get(name, needs[""])) if need in failed), None)
-        if lacking:
-            out.append(Finding(name, SKIPPED, f"not run: {lacking} has not passed"))
+        failures = [f.check for f in out if f.verdict == FAILS]
+        missing = next((n for n in (first, *needs.get(name, needs[""])) if n in failures), None)
+        if missing:
+            out.append(Finding(name, SKIPPED, f"not run: {missing} has not passed"))
         else:
-            out.append(_verdict(name, partial(check, made[0])))
+            out.append(_verdict(name, partial(check, trials[0])))
     return out
 
 

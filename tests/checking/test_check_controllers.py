@@ -121,7 +121,7 @@ def test_options_that_do_not_fit_are_the_first_finding_and_the_last():
 def test_its_eigenvalue_is_that_of_the_loop_written_out():
     """Plant and integrator over one period, by hand: x+ = Phi x + Gamma u, s+ = s + T x1 / 2, u = -K x - s+."""
     t = trial(own(), period=0.05)
-    model, T = t.told.model, 0.05
+    model, T = t.context.model, 0.05
     whole = expm(T * np.block([[model.A, model.B], [np.zeros((1, 3))]]))
     Phi, Gamma, K = whole[:2, :2], whole[:2, 2:], np.array([[2.0 + 0.5 * T, 0.1]])
     loop = np.block([[Phi - Gamma @ K, -Gamma], [np.array([[0.5 * T, 0.0]]), np.eye(1)]])
@@ -146,4 +146,4 @@ def test_a_scenario_whose_loop_it_closes_keeps_its_options_and_its_network():
     closed = trial(mine, gain=3.0).scenario.having(actuator_delay=0.02, command_loss=0.1)
     again, why = controller.trial("pull", mine, closed, {"period": 0.01})
     assert why == "gain = 3.0, period = 0.01"
-    assert (again.told.late, again.scenario.loop.command_loss) == (20, 0.1)
+    assert (again.context.late, again.scenario.loop.command_loss) == (20, 0.1)
