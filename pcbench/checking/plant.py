@@ -241,9 +241,9 @@ def _compare(
         if bad.size:
             i, j = bad[0]
             raise UserError(
-                f"slopes: got {expected[i, j] / size[j]:.6g} from {source} and {difference[i, j] / size[j]:.6g} from differences "
-                f"for the slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, expected the same; "
-                "smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
+                f"slopes: got {expected[i, j] / size[j]:.6g} from {source} and {difference[i, j] / size[j]:.6g} from "
+                f"differences for the slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, "
+                "expected the same; smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
             )
 
 
@@ -335,10 +335,10 @@ def finer(dt: float) -> list[float]:
 def check_observability(t: Trial) -> str:
     """Check that every mode of the linear model is visible in an output."""
     hidden = unobservable(t.model.A, t.model.C)
-    undamped = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
-    if undamped:
+    persistent = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
+    if persistent:
         raise CheckNote(
-            f"no output shows the mode {' and '.join(undamped)}, which does not decay: no observer can estimate the state; "
+            f"no output shows the mode {' and '.join(persistent)}, which does not decay: no observer can estimate the state; "
             "measure another output"
         )
     if hidden:

@@ -164,8 +164,8 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
 
     e, lane = errors(layout, p, k, state), Lane(state.x, state.memories, state.commands)
     found = vmap_entrywise(intervals_of_lane)(k, lane, state.plant_draws) if state.watches else {}
-    scored = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
-    streams, watches, tracking = scored
+    sums = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
+    streams, watches, tracking = sums
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 

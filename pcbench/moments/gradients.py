@@ -75,8 +75,8 @@ def build_gradients(p: Plan, one: Realisation, directions: int) -> Callable[[PyT
             return CellGradients(_cell(p, one, nan), nan)
         leaves = [np.asarray(a) for a in jax.tree.leaves(gains)]
         reals = [_stack_perturbed(a, width) for a, is_real in zip(leaves, real, strict=True) if is_real]
-        others = [a for a, is_real in zip(leaves, real, strict=True) if not is_real]
-        constants = [np.stack([a] * width, -1) if a.size else a for a in others]
+        other_leaves = [a for a, is_real in zip(leaves, real, strict=True) if not is_real]
+        constants = [np.stack([a] * width, -1) if a.size else a for a in other_leaves]
         empty = [np.zeros_like(a) for a, is_real in zip(leaves, real, strict=True) if is_real]
         columns = zip(*directions, empty, strict=True)
         tangents = [np.stack(column, -1) if column[0].size else column[0] for column in columns]

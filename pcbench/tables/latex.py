@@ -63,7 +63,7 @@ def split(t: Table, column: float, page_width: float) -> Iterator[tuple[Table, b
     parts = [(rows, part) for rows in _pages(t) for part in columns]
     for i, (rows, part) in enumerate(parts, 1):
         about = t.about + (f", part {i} of {len(parts)}" if len(parts) > 1 else "")
-        rows = [(words, [each[k] for k in part]) for words, each in rows]
+        rows = [(words, [entries[k] for k in part]) for words, entries in rows]
         yield t._replace(about=about, heads=[t.heads[k] for k in part], rows=rows), wide and column < page_width
 
 

@@ -89,9 +89,9 @@ def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
     return np.concatenate(tables)
 
 
-def overtaking(found: list[Sample]) -> int:
+def overtaking(samples: list[Sample]) -> int:
     """Return the largest number of newer samples that arrive before an older one."""
-    times = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    times = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in samples if s.arrives < NEVER}), int).reshape(-1, 2)
     timestamps, arrives = times.T
     counts, shift = np.zeros(len(times), int), 1
     while shift < len(times) and (timestamps[shift:] < arrives[:-shift]).any():
@@ -255,14 +255,14 @@ def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     return schedule(samples(clocks, ticks), ticks, len(period))
 
 
-def oldest(found: list[Sample], overtaking: int) -> int:
+def oldest(samples: list[Sample], overtaking: int) -> int:
     """Return the largest age [ticks] of an input that an observer may need.
 
     For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
     K = `overtaking`. The result is the maximum over i.
     """
     times = np.array(
-        sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in found if s.arrives < NEVER}), int
+        sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in samples if s.arrives < NEVER}), int
     ).reshape(-1, 2)
     timestamps, arrives = times.T
     back = 2 * overtaking + 1
