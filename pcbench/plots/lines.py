@@ -220,13 +220,5 @@ def cost(
         for p in points.to_dict("records"):
             style = look[p["observer"]]
             ax.vlines(p[by], p["ci_low"], p["ci_high"], colors=style.colour, linewidth=1.2)
-            ax.scatter(
-                [p[by]],
-                [p["mean"]],
-                c=style.colour,
-                marker=style.marker,
-                s=26,
-                zorder=3,
-                label=p["observer"],
-            )
+            ax.scatter([p[by]], [p["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3, label=p["observer"])
     return figure
