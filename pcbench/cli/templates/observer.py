@@ -45,15 +45,15 @@ class Options(BaseModel):
     )
 
 
-def design(setting: pcbench.DesignContext, options: Options) -> pcbench.Design:
+def design(context: pcbench.DesignContext, options: Options) -> pcbench.Design:
     """Compute the gains, in NumPy, once per grid point.
 
-    `setting` has the model (A, B, C), dt [s], period and delay [ticks, one per output], noise_std, P0 and more. For gains
+    `context` has the model (A, B, C), dt [s], period and delay [ticks, one per output], noise_std, P0 and more. For gains
     without a certificate, use pcbench.no_certificate("reason").
     """
-    Phi, Gamma = pcbench.discretize_zoh(setting.model.A, setting.model.B, setting.dt)
-    C = setting.model.C
-    late = setting.delay[0] // setting.period[0]  # error of the measured output: e_i = e_(i-1) - share e_(i-1-late)
+    Phi, Gamma = pcbench.discretize_zoh(context.model.A, context.model.B, context.dt)
+    C = context.model.C
+    late = context.delay[0] // context.period[0]  # error of the measured output: e_i = e_(i-1) - share e_(i-1-late)
     poles = np.roots([1, -1] + [0] * (late - 1) + [options.share] if late else [1, options.share - 1])
     proof = pcbench.Certificate("|z| < 1 of the measured error", 1 - max(abs(poles)), "roots", "solved")
     return pcbench.Design(Gains(Phi, Gamma, C, options.share * C.T), pcbench.require_certified(proof, "NAME"))

@@ -37,7 +37,7 @@ def entry(observer: Observer | ObserverSpec, module: ModuleType, where: str) -> 
     design, options = getattr(module, "design", None), getattr(module, "Options", NoOptions)
     if not callable(design):
         raise UserError(
-            f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it "
+            f"{where}: got an Observer in a module without a function design(context, options), expected one; write it "
             "in the observer's file, or name an ObserverSpec that has it."
         )
     return ObserverSpec(observer, options, design, knows_schedule=True, summary="yours", expensive=True)
