@@ -52,7 +52,7 @@ def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
 
     If `known`, the observers start with the true values of the plant's unknown parameters.
     """
-    context = planning.setting(cell)
+    context = planning.context_of(cell)
     if known:
         context = context._replace(unknown0=unknowns(cell, context.unknown0))
     by_plan = [{o: cell.options[o]} for o in cell.options] if cell.scenario.loop.controller else [cell.options]

@@ -136,7 +136,7 @@ def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Ca
     With `spacing`, every third sample arrives 1.5 `spacing` ticks later.
     """
     cell = cell_of(scenario)
-    context = planning.setting(cell)
+    context = planning.context_of(cell)
     draft = planning.draft(cell, {}, context)
     p, n, q = draft.problem, context.ticks, len(scenario.sampling.delay)
     if spacing is not None:

@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.export import c_files, c_replay, numbers, observer_to_c, recording, structs
 from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
-from pcbench.planning import alone, draft, loop_setup, padding, setting, slowed
+from pcbench.planning import alone, context_of, draft, loop_setup, padding, slowed
 from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
 from pcbench.playback.setup import PlaybackSetup, open_playback
@@ -90,7 +90,7 @@ def export_observer(
         if log is None:
             cell = slowed(cell, label)
             (p,) = (alone(plan, spec.root_seed, seed) for plan in padding.fit([draft(cell, cell.options)]))
-            ((name, _),), context = p.layout.observers, setting(p.cell)
+            ((name, _),), context = p.layout.observers, context_of(p.cell)
             rows = _rows(cell, p.labels[0], context)
             run = structs.vector(p, spec.root_seed, seed, rows)
             return _build_export(title, p.cell, p.labels[0], name, p, context, rows, run)

@@ -12,7 +12,7 @@ import pyarrow as pa
 from pcbench.dataset import manifest, parquet_io, single_table, storage
 from pcbench.dynamics import linear
 from pcbench.external import runs
-from pcbench.planning import setting
+from pcbench.planning import context_of
 from pcbench.planning.padding import Plan
 from pcbench.plants import estimated_of
 from pcbench.runtime import config
@@ -183,7 +183,7 @@ def _concat_tables(parts: list[dict[str, object]]) -> pa.Table:
 
 def _cell(p: Plan) -> dict[str, object]:
     """Return the design data of a grid point that an external program gets: the same that observers of pcbench use."""
-    context, s = setting(p.cell), p.cell.scenario
+    context, s = context_of(p.cell), p.cell.scenario
     Phi, Gamma = linear.one_tick(context.model, context.dt)
     model = {
         "A": context.model.A,

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pcbench.errors import UserError, unknown
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
-from pcbench.planning import run_design, setting, slowed
+from pcbench.planning import context_of, run_design, slowed
 from pcbench.runtime import config
 from pcbench.study import Study
 from pcbench.study.grid import Cell
@@ -49,7 +49,7 @@ def design(
         if gain not in valid:
             raise unknown("--gain", f"design method of {label}", gain, valid)
         study, cell = one_cell(replace_options(study, label, {option_name: gain}), [label], [])
-    return study, cell, run_design(label, cell.entry(label), setting(slowed(cell, label)), cell.options[label])
+    return study, cell, run_design(label, cell.entry(label), context_of(slowed(cell, label)), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTable:
@@ -170,7 +170,7 @@ def _recertify(study: Study, cell: Cell, observer: str, options: TomlTable) -> T
     for candidate in (*slow_candidates, {k: v for k, v in options.items() if k != "decay" or not v}):
         try:
             explicit = replace_options(study.model_copy(update={"options": {}}), observer, candidate)
-            context = setting(slowed(cell, observer))
+            context = context_of(slowed(cell, observer))
             run_design(observer, cell.entry(observer), context, one_cell(explicit, [observer], [])[1].options[observer])
         except UserError:
             continue

@@ -261,7 +261,7 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
     trial_study = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(trial_study, [observer], [])[1]
     entry, cell_options = cell.entry(observer), cell.options[observer]
-    context = planning.setting(planning.slowed(cell, observer))
+    context = planning.context_of(planning.slowed(cell, observer))
     design = planning.run_design(observer, entry, context, cell_options)
     try:
         return bool(tune.free_parameters(observer, entry, context, cell_options, design, only, study.name))

@@ -101,7 +101,7 @@ def tune(
         history.copy_from_cache(target, task, about, basis)
         if record := history.load_finished(target, task, about, basis):
             return Tuning(objective=aim, **record)
-        context = planning.setting(planning.slowed(cell, observer))
+        context = planning.context_of(planning.slowed(cell, observer))
         start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it

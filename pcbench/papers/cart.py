@@ -115,7 +115,7 @@ def _under_noise() -> Iterator[Claim]:
 
 
 def _misprints() -> Iterator[Claim]:
-    model = planning.setting(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
+    model = planning.context_of(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
     solution = riccati.continuous(model, 0.001 * np.eye(2), 0.004 * np.eye(1), "reproduce cart")
     numbers = api.design("cart/nominal", "kfbo").certificate.numbers
     P, K = numbers["P"], numbers["K"]

@@ -5,19 +5,19 @@ largest of them.
 """
 
 from pcbench.planning.build import alone, bound, draft, drafts, plan, samples_of, schedule_of, slowed, width
-from pcbench.planning.design_context import setting
+from pcbench.planning.design_context import context_of
 from pcbench.planning.memo import run_design
 
 __all__ = [
     "alone",
     "bound",
+    "context_of",
     "draft",
     "drafts",
     "plan",
     "run_design",
     "samples_of",
     "schedule_of",
-    "setting",
     "slowed",
     "width",
 ]

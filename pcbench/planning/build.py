@@ -18,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.observers.parts import assumed_noise
 from pcbench.planning import loop_setup, memo, operation_counts, padding, processor
-from pcbench.planning.design_context import prepare_params, setting
+from pcbench.planning.design_context import context_of, prepare_params
 from pcbench.planning.padding import AnySchedule, Plan
 from pcbench.plants import differs, lti, nonlinear, numbers_of
 from pcbench.scenarios.scenario import ProcessNoise, Sampling, per_channel
@@ -102,7 +102,7 @@ def drafts(
     groups_by_cell = [
         _groups(cell, cache, is_limited, split_expensive, keys is None or cell.key in keys) for cell in cells
     ]
-    contexts = [{tuple(c.times.clocks): setting(c, cache) for c, _ in groups} for groups in groups_by_cell]
+    contexts = [{tuple(c.times.clocks): context_of(c, cache) for c, _ in groups} for groups in groups_by_cell]
     for cell, by_clocks in zip(cells, contexts, strict=True):
         for context in by_clocks.values() if not cell.times.random else ():
             largest[cell.scenario.plant] = context.roomier(largest.get(cell.scenario.plant, context))
@@ -171,7 +171,7 @@ def draft(
     cell: Cell, options: dict[str, BaseModel], context: DesignContext | None = None, cache: memo.Cache = memo.no_cache
 ) -> Plan:
     """Return the plan of one grid point for the observers in `options`; `padding.fit` gives it a common shape later."""
-    s, context = cell.scenario, context or setting(cell, cache)
+    s, context = cell.scenario, context or context_of(cell, cache)
     true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {

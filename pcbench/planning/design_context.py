@@ -32,7 +32,7 @@ def prepare_params(plant: PlantSpec, numbers: Params, dt: float, ticks: int, cac
     return cache("params", key, make)
 
 
-def setting(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
+def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
     """Return the design context: the nominal model and the assumed delay and noise, independent of the true plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std

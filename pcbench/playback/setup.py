@@ -153,7 +153,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
             f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; check the unit "
             "of the times (time_unit), cut the log there, or write a longer duration."
         )
-    context = planning.setting(cell)
+    context = planning.context_of(cell)
     m, signals = context.model.B.shape[1], len(estimated_of(s))
     if a.log.inputs is not None and len(a.log.inputs.names) != m:
         raise UserError(

@@ -76,9 +76,9 @@ def by_global(gains, memory, now, arrival):
     return memory + SHARE[0] * gains.C.T @ jnp.where(arrival.mask, arrival.value - arrival.snapshot, 0.0)
 
 
-def sets_global(setting, options):
-    SHARE[0] = 0.1 / (1 + sum(setting.noise_std))
-    return own.design(setting, options)
+def sets_global(context, options):
+    SHARE[0] = 0.1 / (1 + sum(context.noise_std))
+    return own.design(context, options)
 
 
 def by_global_table(gains, memory, now, arrival):
@@ -86,9 +86,9 @@ def by_global_table(gains, memory, now, arrival):
     return memory + gains.L @ (jnp.asarray(TIMES[0]) * late)
 
 
-def sets_global_table(setting, options):
-    TIMES[0] = np.array([1 + int(sum(setting.noise_std) > 1)])
-    return own.design(setting, options)
+def sets_global_table(context, options):
+    TIMES[0] = np.array([1 + int(sum(context.noise_std) > 1)])
+    return own.design(context, options)
 
 
 def written(gains, memory, now, arrival):
@@ -208,10 +208,10 @@ def test_an_observer_that_declares_not_to_know_the_schedule_is_not_asked_for_a_p
 
 @pytest.mark.ci
 def test_a_design_may_refuse_a_schedule_but_not_all():
-    def picky(setting, options):
-        if setting.delay[0] < late:
+    def picky(context, options):
+        if context.delay[0] < late:
             raise UserError("mine: got a short delay, expected a long one; wait.")
-        return own.design(setting, options)
+        return own.design(context, options)
 
     late = 1
     found = verdicts(ENTRY._replace(design=picky))

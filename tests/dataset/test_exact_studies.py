@@ -36,7 +36,7 @@ def jump(gains, memory, now, arrival):
     return memory + 0.1 * jnp.sign(jnp.where(arrival.mask[0], arrival.value[0] - memory[0], 0.0))
 def flow(gains, memory, now): return memory
 def estimate(gains, memory): return memory
-def design(setting, options): return Design((), Certificate("none: a sign", 1.0, "none", "as it is", {}))
+def design(context, options): return Design((), Certificate("none: a sign", 1.0, "none", "as it is", {}))
 OBSERVER = Observer(start, note, jump, flow, estimate)
 """
 

@@ -49,7 +49,7 @@ def asked(study, observer, objective, signal=None, only=None):
     """What evaluates an exact objective, and where it starts."""
     study, cell = parse.one_cell(study, [observer], [])
     observer = label_of(observer)
-    known, options, entry = planning.setting(cell), cell.options[observer], cell.entry(observer)
+    known, options, entry = planning.context_of(cell), cell.options[observer], cell.entry(observer)
     designed = planning.run_design(observer, entry, known, options)
     every, start = tune.free_parameters(observer, entry, known, options, designed, only, "test")
 

@@ -19,7 +19,7 @@ def brute_force(grid):
     """The least tail RMSE in cart/gaussian over a grid of gains L, on the training seeds."""
     with config.float64():
         study, cell = parse.one_cell("cart/gaussian", ["pccebo"], [])
-        known, options = planning.setting(cell), options_of(study, cell.scenario, "pccebo")
+        known, options = planning.context_of(cell), options_of(study, cell.scenario, "pccebo")
 
         def gains(L):
             return entry_of("pccebo").design(known, options.model_copy(update={"L": [[float(x)] for x in L]})).gains

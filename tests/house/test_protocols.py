@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, Case, problem, setting, suitable
+from harness import CART, Case, context_of, problem, suitable
 
 from pcbench.dynamics.integrate import rk4
 from pcbench.observers import OBSERVERS, base_of
@@ -65,7 +65,7 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     assert snapshot.ndim == 1
     for after in moved:
         assert jax.tree.map(lambda a: (a.shape, a.dtype), after) == jax.tree.map(lambda a: (a.shape, a.dtype), memory)
-    signals = n + len(setting(Case(model, 10, 20)).unknown_std)
+    signals = n + len(context_of(Case(model, 10, 20)).unknown_std)
     assert estimate.shape in ((n,), (signals,))
 
 

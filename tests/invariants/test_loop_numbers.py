@@ -156,7 +156,7 @@ def two_gains(T):
     )
     proof = Certificate("none: a printed filter", 1.0, "none", "as printed", {})
     return ObserverSpec(
-        observer, NoOptions, lambda setting, options: Design((), proof), True, "two gains", "any schedule"
+        observer, NoOptions, lambda context, options: Design((), proof), True, "two gains", "any schedule"
     )
 
 

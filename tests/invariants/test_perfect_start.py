@@ -7,7 +7,7 @@ One tick of slip anywhere breaks it; the mutants below show that.
 import jax
 import numpy as np
 import pytest
-from harness import CART, CHAINS, ELSEWHERE, ODD, Case, problem, recorder, setting, trace
+from harness import CART, CHAINS, ELSEWHERE, ODD, Case, context_of, problem, recorder, trace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,10 +52,10 @@ def test_no_error_for_any_period_and_delay(te, d, odd):
     few = {name: options for name, options in KNOWING.items() if name not in elsewhere}
     observers = few | {"kfbo": {"sampled_innovation": True}}  # this variant of kfbo knows the schedule too
     found = error(trace(case, observers))
-    gains = finite_time.design(setting(case), finite_time.Options()).gains
+    gains = finite_time.design(context_of(case), finite_time.Options()).gains
     large = {
         "finite-time": (gains.K, gains.H),
-        "interval": (interval.design(setting(case), interval.Options()).gains.L,),
+        "interval": (interval.design(context_of(case), interval.Options()).gains.L,),
     }
     for observer, matrices in large.items():  # gains reach 15,000 on the cart
         largest = max(np.abs(np.asarray(a)).sum(-1).max() for a in matrices)

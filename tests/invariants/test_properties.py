@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from harness import CART, ELSEWHERE, ODD, Case, inputs, noise, setting, starts, trace
+from harness import CART, ELSEWHERE, ODD, Case, context_of, inputs, noise, starts, trace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -33,7 +33,7 @@ def test_delay_zero_equals_no_delay(model):
     """Without a network: the current estimator, corrected at the sampling tick itself, written out here."""
     case = Case(model, 50, 0, ticks=400, h=1e-3 if model is CART else 0.01, noise_std=0.3, seed=2)
     got = trace(case, {"pccebo": {}})
-    L = OBSERVERS["pccebo"].design(setting(case), OBSERVERS["pccebo"].options()).gains.L
+    L = OBSERVERS["pccebo"].design(context_of(case), OBSERVERS["pccebo"].options()).gains.L
     Phi, Gamma = linear.discretize_zoh(model.A, model.B, case.h)
     v, u, xhat, out = np.stack(noise(case), -1), inputs(case), starts(case)[1], []
     for k in range(case.ticks + 1):

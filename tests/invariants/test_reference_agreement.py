@@ -6,7 +6,7 @@ te; noise on; drift on; several sampling periods; a plant with three states, two
 
 import numpy as np
 import pytest
-from harness import CART, CHAINS, ELSEWHERE, ODD, Case, inputs, noise, setting, starts, trace
+from harness import CART, CHAINS, ELSEWHERE, ODD, Case, context_of, inputs, noise, starts, trace
 from reference import cart as reference_cart
 from reference import field_observers, held, irregular
 from reference import linear as reference
@@ -31,7 +31,7 @@ VARIANTS += [
 def expected(case, observer, options, u, samples):
     """The reference's xhat[N+1, n], with the gains of the design under test (gains have tests of their own)."""
     model = reference.Model(case.model.A, case.model.B, case.model.C, case.h)
-    known = setting(case)
+    known = context_of(case)
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
     xhat0 = starts(case)[1]
     if observer == "model-only":

@@ -205,7 +205,7 @@ def jump(gains, memory, now, arrival):
     return x + share * jnp.where(arrival.mask[0], arrival.value[0] - x, 0.0), {ages}
 def flow(gains, memory, now): return memory[0] * 0.95 + 0.05 * now.u, memory[1]
 def estimate(gains, memory): return memory[0]
-def design(setting, options): return Design((), Certificate("none", 1.0, "none", "as it is", {{}}))
+def design(context, options): return Design((), Certificate("none", 1.0, "none", "as it is", {{}}))
 OWN = ObserverSpec(Observer(start, note, jump, flow, estimate), Options, design, False, "as told", "any schedule")
 """
 

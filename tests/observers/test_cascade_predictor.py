@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, problem, recorder, setting, trace
+from harness import CART, ODD, Case, context_of, problem, recorder, trace
 from reference import field_observers
 from reference import linear as reference
 from reference.linear import Sample
@@ -96,7 +96,7 @@ def test_errors_of_three_four_and_six_links_have_the_printed_size():
 def test_radius_is_the_decay_of_the_errors_of_a_run(model, d, te):
     """Errors of a run with the true model and no input, after the slowest mode alone is left."""
     case = Case(model, te, d, ticks=900, h=1e-3 if model is CART else 0.02, xhat0=np.zeros(len(model.A)))
-    design = OBSERVERS["cascade-predictor"].design(setting(case), OBSERVERS["cascade-predictor"].options(links=1))
+    design = OBSERVERS["cascade-predictor"].design(context_of(case), OBSERVERS["cascade-predictor"].options(links=1))
     got = trace(case, {"cascade-predictor": {"links": 1}})
     error = np.linalg.norm((got.x - got.estimates["cascade-predictor"])[d::te], axis=1)
     bound = (1 - design.certificate.margin) ** np.arange(len(error))
@@ -123,7 +123,7 @@ def test_design_for_a_delay_of_one_tick_more_or_less_is_seen(slip):
     case = Case(CART, 40, 60, ticks=400, x0=start, xhat0=start)
     layout, p = problem(case, {"cascade-predictor": {"links": 2}})
     entry = OBSERVERS["cascade-predictor"]
-    other = entry.design(setting(case._replace(d=60 + slip)), entry.options(links=2)).gains
+    other = entry.design(context_of(case._replace(d=60 + slip)), entry.options(links=2)).gains
     got = recorder()(layout, p._replace(gains={"cascade-predictor": other}), np.asarray(0), np.asarray(0))
     error = np.abs(np.asarray(got.x) - np.asarray(got.estimates["cascade-predictor"])).max()
     assert error > 1e-4 * np.abs(np.asarray(got.x)).max()
@@ -147,7 +147,7 @@ def test_radius_is_that_of_the_map_written_out(d, te):
 def test_unstable_plant_gets_as_many_links_as_its_delay_needs():
     """The plant stays at 0, so that the error is not lost in the rounding of a state that grows."""
     case = Case(SCALAR, 10, 250, ticks=8000, h=0.01, x0=[0.0], xhat0=[1.0], u=np.zeros((8001, 1)))
-    design = OBSERVERS["cascade-predictor"].design(setting(case), OBSERVERS["cascade-predictor"].options())
+    design = OBSERVERS["cascade-predictor"].design(context_of(case), OBSERVERS["cascade-predictor"].options())
     assert len(design.gains.d) == 4
     error = np.abs(trace(case, {"cascade-predictor": {}}).estimates["cascade-predictor"])[:, 0]
     assert error[-1] < 1e-2 * error[250]
@@ -159,14 +159,14 @@ def test_too_few_links_are_refused(links):
         DesignError, match=rf"got errors that do not decay with {links} links over a delay of 250 ticks"
     ):
         OBSERVERS["cascade-predictor"].design(
-            setting(Case(SCALAR, 10, 250, h=0.01)), OBSERVERS["cascade-predictor"].options(links=links)
+            context_of(Case(SCALAR, 10, 250, h=0.01)), OBSERVERS["cascade-predictor"].options(links=links)
         )
 
 
 def test_more_links_than_ticks_are_refused():
     with pytest.raises(UserError, match="got links = 4, expected at most 3, one per tick"):
         OBSERVERS["cascade-predictor"].design(
-            setting(Case(CART, 10, 3)), OBSERVERS["cascade-predictor"].options(links=4)
+            context_of(Case(CART, 10, 3)), OBSERVERS["cascade-predictor"].options(links=4)
         )
 
 
@@ -194,7 +194,7 @@ def planned_joint(options, **changes):
     study = {"name": "t", "scenario": scenario, "options": {"cascade-predictor": options}}
     _, cell = parse.one_cell({"name": "t", "scenario": scenario}, ["cascade-predictor"], [])
     entry = OBSERVERS["cascade-predictor"]
-    return study, entry.design(planning.setting(cell), entry.options(**options))
+    return study, entry.design(planning.context_of(cell), entry.options(**options))
 
 
 @pytest.mark.parametrize("links", [3, 5])

@@ -135,7 +135,7 @@ def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     N = len(p.problem.inputs) - 1
     sent = [common_times.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
     believed = [d + older for d in delays]
-    known = planning.setting(p.cell)._replace(delay=tuple(believed), reach=9, error=older)
+    known = planning.context_of(p.cell)._replace(delay=tuple(believed), reach=9, error=older)
     gains = p.problem.gains | {"chain": chain.design(known, chain.Options(pole=0.4)).gains}
     plan = common_times.pad_slots(common_times.schedule(sent, N, 3, older), 3)
     problem = p.problem._replace(gains=gains, schedule=plan, noise_std=np.zeros(3))
@@ -163,7 +163,7 @@ def test_it_equals_the_reference_for_any_delays_and_losses(delays, loss, pole, s
     lost = rng.random((N + 1, 3)) < loss
     sent = [(j, k, NEVER if lost[k, j] else k + delays[j]) for k in range(N + 1) for j in range(3)]
     plan = common_times.schedule([common_times.Sample(j, k, k, due) for j, k, due in sent], N, 3)
-    known = planning.setting(p.cell)._replace(delay=tuple(delays), reach=9)
+    known = planning.context_of(p.cell)._replace(delay=tuple(delays), reach=9)
     design = chain.design(known, chain.Options(pole=pole if abs(pole) > 0.05 else 0.05, gain="poles"))
     xhat0, x0 = rng.standard_normal(4), rng.standard_normal(4)
     changed = {"schedule": common_times.pad_slots(plan, 3), "xhat0": xhat0, "x0": x0, "noise_std": np.zeros(3)}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, setting, trace
+from harness import CART, ODD, Case, context_of, inputs, trace
 from reference.linear import Model, model_only
 from scipy.linalg import expm
 
@@ -18,7 +18,7 @@ SWING = np.sin(1.3 * H * np.arange(TICKS + 1))[:, None] + 0.5 * np.cos(0.4 * H *
 
 
 def designed(case, **options):
-    return OBSERVERS[NAME].design(setting(case), OBSERVERS[NAME].options(**options))
+    return OBSERVERS[NAME].design(context_of(case), OBSERVERS[NAME].options(**options))
 
 
 def swinging(d=D, te=1, **changes):

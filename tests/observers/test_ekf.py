@@ -51,7 +51,7 @@ def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
     s = SCENARIOS["arm/sampled"].having(
         duration=0.1, steady_start=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3)
     )
-    gains = ekf.design(planning.setting(cell_of(s)), ekf.Options(walk=0.5)).gains
+    gains = ekf.design(planning.context_of(cell_of(s)), ekf.Options(walk=0.5)).gains
     np.testing.assert_allclose(gains.Q, np.diag([1e-6, 4e-6, 0.0, 16e-6, 0.5 * 9.0 * s.dt]), rtol=1e-12)
     np.testing.assert_allclose(gains.P0, np.diag([1.0, 1.0, 1.0, 1.0, 9.0]), rtol=1e-12)
 

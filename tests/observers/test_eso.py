@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, noise, setting, starts, trace
+from harness import CART, ODD, Case, context_of, inputs, noise, starts, trace
 from reference import field_observers as reference
 from reference.linear import Model, simulate
 
@@ -16,7 +16,7 @@ TE = 20
 
 
 def designed(case, **options):
-    return OBSERVERS["eso"].design(setting(case), OBSERVERS["eso"].options(**options))
+    return OBSERVERS["eso"].design(context_of(case), OBSERVERS["eso"].options(**options))
 
 
 def pushed(case, push):

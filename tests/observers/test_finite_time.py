@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, problem, recorder, setting, trace
+from harness import CART, ODD, Case, context_of, problem, recorder, trace
 from scipy.linalg import expm
 
 from pcbench.dynamics import linear
@@ -16,7 +16,7 @@ INTEGRATORS = linear.Model(A, np.array([[0.0], [2.0]]), C)
 
 
 def designed(case, **options):
-    return OBSERVERS["finite-time"].design(setting(case), OBSERVERS["finite-time"].options(**options))
+    return OBSERVERS["finite-time"].design(context_of(case), OBSERVERS["finite-time"].options(**options))
 
 
 @pytest.mark.parametrize(("D", "printed"), [(0.05, "1.29e+05"), (0.5, "192"), (2.0, "5.42")])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, noise, setting, starts, trace
+from harness import CART, ODD, Case, context_of, inputs, noise, starts, trace
 from reference import held, linear
 
 import pcbench
@@ -22,7 +22,7 @@ CHAIN = Model(np.eye(3, k=1), np.eye(3)[:, 2:], np.eye(3)[:1])
 
 
 def design(case, theta):
-    return high_gain_predictor.design(setting(case), high_gain_predictor.Options(theta=theta))
+    return high_gain_predictor.design(context_of(case), high_gain_predictor.Options(theta=theta))
 
 
 @pytest.mark.parametrize(("te", "d"), [(20, 0), (30, 75), (26, 26)])
@@ -74,7 +74,7 @@ def test_the_default_does_not_slow_a_fast_mode():
 
 def test_it_bears_longer_periods_than_the_held_innovation_with_the_same_gain():
     theta, h, te = 2.0, 0.01, 70
-    known = setting(Case(CHAIN, te, 0, h=h))
+    known = context_of(Case(CHAIN, te, 0, h=h))
     predictor = high_gain_predictor.design(known, high_gain_predictor.Options(theta=theta))
     assert is_certified(predictor.certificate._asdict())
     assert sampled_high_gain.radius("hold", 3, theta * te * h) > 1
@@ -106,7 +106,7 @@ def test_run_of_the_flexible_joint_follows_its_definition():
     study = {"name": "t", "scenario": scenario, "options": {"high-gain-predictor": {"theta": 5.0}}}
     got = pcbench.simulate(study, ["high-gain-predictor"], seed=6)
     _, cell = parse.one_cell({"name": "t", "scenario": scenario}, ["high-gain-predictor"], [])
-    made = high_gain_predictor.design(planning.setting(cell), high_gain_predictor.Options(theta=5.0))
+    made = high_gain_predictor.design(planning.context_of(cell), high_gain_predictor.Options(theta=5.0))
     assert not is_certified(made.certificate._asdict())
     L, state, want = made.gains.L[:, 0], np.zeros(5), []
     for k in range(ticks + 1):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, noise, problem, setting, starts, trace
+from harness import CART, ODD, Case, context_of, inputs, noise, problem, starts, trace
 from reference import field_observers
 from reference import linear as reference
 
@@ -64,7 +64,7 @@ def reference_ends(case, options):
     model = reference.Model(case.model.A, case.model.B, case.model.C, case.h)
     q, n = case.model.C.shape
     x, samples = reference.simulate(model, inputs(case), starts(case)[0], [case.te] * q, [case.d] * q, noise(case))
-    g = OBSERVERS["interval"].design(setting(case), interval.Options(**options)).gains
+    g = OBSERVERS["interval"].design(context_of(case), interval.Options(**options)).gains
     sigmas = options["sigmas"]
     box = sigmas * np.arange(1.0, n + 1)  # the square root of the prior's variances
     known = field_observers.Bounds(
@@ -80,7 +80,7 @@ def test_both_metrics_equal_the_reference(case, sigmas, spare):
     options = {"sigmas": sigmas, "process_bound": [0.01] * len(case.model.A)}
     x, low, high = reference_ends(case, options)
     layout, p = problem(case, {"interval": options})
-    roomy = OBSERVERS["interval"].design(setting(case)._replace(spare=spare), interval.Options(**options)).gains
+    roomy = OBSERVERS["interval"].design(context_of(case)._replace(spare=spare), interval.Options(**options)).gains
     p = p._replace(gains={"interval": roomy})
     out = jax.jit(simulate_runs.simulate_run, static_argnums=0)(layout, p, jnp.asarray(0), jnp.asarray(case.seed))
     found = metrics.read(
@@ -186,7 +186,7 @@ def test_coverage_is_1_with_jitter_and_lost_and_out_of_sequence_samples(late):
 
 def test_a_channel_that_is_missing_corrects_nothing():
     """As a row of a recording may be: the same as a gain of 0 for the channel, in estimate and radius."""
-    g = jax.tree.map(jnp.asarray, OBSERVERS["interval"].design(setting(ODD_CASE), interval.Options()).gains)
+    g = jax.tree.map(jnp.asarray, OBSERVERS["interval"].design(context_of(ODD_CASE), interval.Options()).gains)
     ball = interval.Ball(jnp.array([1.0, -2.0, 3.0]), jnp.asarray(4), jnp.asarray(np.arange(15.0).reshape(3, 5)))
     value, here = jnp.array([0.7, -0.4]), np.array([True, False])
     part = interval.correct(g, ball, Measurement(jnp.asarray(9), value, jnp.asarray(here), jnp.ones(3)))

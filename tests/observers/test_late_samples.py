@@ -12,7 +12,7 @@ import driven
 import numpy as np
 import pytest
 from documents import PAGES
-from harness import ODD, Case, inputs, setting, starts
+from harness import ODD, Case, context_of, inputs, starts
 from reference import irregular, late
 from reference.linear import Model, discretise, process_noise
 
@@ -45,7 +45,7 @@ TIMES = {
     "late": [[(t, t + 30) for t in range(0, TICKS + 1, 12)], [(t, t + 5) for t in range(0, TICKS + 1, 17)]],
     "wild": _wild(),
 }
-KNOWN = setting(CASE)._replace(overtaking=9, flight=9, latest=40, period=(12, 17), delay=(20, 20))
+KNOWN = context_of(CASE)._replace(overtaking=9, flight=9, latest=40, period=(12, 17), delay=(20, 20))
 
 
 @cache
@@ -139,7 +139,7 @@ def test_taking_late_for_now_is_biased_by_the_motion_over_the_delay():
     moving = linear.Model(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
     speed, late = 0.7, 15
     case = Case(moving, 5, late, ticks=TICKS, h=H, noise_std=0.1, x0=[1.0], u=np.full((TICKS + 1, 1), speed))
-    known = setting(case)._replace(process_std=(0.5,))
+    known = context_of(case)._replace(process_std=(0.5,))
     times = [[(t, t + late) for t in range(0, TICKS + 1, 5)]]
     model = Model(moving.A, moving.B, moving.C, H)
     x, samples = irregular.simulate(model, inputs(case), np.ones(1), times, [np.zeros(TICKS + 1)])
@@ -249,7 +249,7 @@ INTEGRATOR = linear.Model(np.zeros((2, 2)), np.array([[1.0, 0.3], [0.2, -1.0]]),
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule):
     case = Case(INTEGRATOR, 12, 0, ticks=TICKS, h=H, noise_std=0.2, xhat0=[0.5, -1.0])
-    model, known = Model(INTEGRATOR.A, INTEGRATOR.B, INTEGRATOR.C, H), setting(case)._replace(overtaking=9)
+    model, known = Model(INTEGRATOR.A, INTEGRATOR.B, INTEGRATOR.C, H), context_of(case)._replace(overtaking=9)
     rng = np.random.default_rng(4)
     v = [rng.normal(size=TICKS + 1) * 0.2 for _ in range(2)]
     _, samples = irregular.simulate(model, inputs(case), starts(case)[0], TIMES[schedule], v)
@@ -272,7 +272,7 @@ REFUSED = [
     ("kf-cloning", KNOWN._replace(flight=17), {}, "up to 17 samples in transit at once, expected at most 16"),
     ("kf-alexander", KNOWN._replace(error=2), {}, "assumed_delay_error of 0.04 s, expected 0"),
     ("kf-delayed-horizon", KNOWN, {"lag": 99.0}, "a lag of 99 s, expected at most the run's 3 s"),
-    ("oosm-a1", setting(Case(SINGULAR, 5, 5, ticks=20)), {}, "discrete model whose A is singular"),
+    ("oosm-a1", context_of(Case(SINGULAR, 5, 5, ticks=20)), {}, "discrete model whose A is singular"),
 ]
 
 

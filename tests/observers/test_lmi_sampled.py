@@ -41,7 +41,7 @@ def design(context, **options):
 
 def context(scenario, observer="lmi-sampled", **changes):
     _, cell = parse.one_cell({"name": "t", "scenario": {"base": scenario, **changes}}, [observer], [])
-    return planning.setting(cell)
+    return planning.context_of(cell)
 
 
 @pytest.mark.parametrize(("te", "d"), [(1, 0), (17, 0), (30, 45), (40, 3)])

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, SLOTS, Case, inputs, noise, problem, recorder, setting, starts
+from harness import CART, ODD, SLOTS, Case, context_of, inputs, noise, problem, recorder, starts
 from reference import irregular as reference
 from reference import linear
 from scipy.linalg import solve_discrete_lyapunov
@@ -47,7 +47,7 @@ def case_of(plant):
 @cache
 def found_gains(plant):
     """Kp and Ki that are certified over every interval of 10 to 139 ticks, so over those of each clock here."""
-    known = setting(case_of(plant))._replace(intervals=tuple(range(10, 140)))
+    known = context_of(case_of(plant))._replace(intervals=tuple(range(10, 140)))
     return {
         name: OBSERVERS[name].design(known, OBSERVERS[name].options(**options)).gains
         for name, options in GIVEN[plant].items()
@@ -215,7 +215,7 @@ def test_the_jacobian_that_is_certified_is_the_steps():
 )
 def test_gains_are_certified_exactly_where_they_are_stable(F, k):
     """On the cart over one interval of 0.2 s, A22 = e^(-24.4)."""
-    known = setting(case_of("cart"))._replace(intervals=(200,))
+    known = context_of(case_of("cart"))._replace(intervals=(200,))
     A12, A22 = (1 - np.exp(-24.4)) / 122, np.exp(-24.4)
     options = OBSERVERS["pi-pco"].options(Kp=(A22 - F) / A12, Ki=k / A12)
     if inside(F, k) > 0:

@@ -82,10 +82,10 @@ def test_consistency_is_that_of_ekf_where_the_plant_grows_by_e_60():
 
 def test_the_limitations_name_each_observer_whose_response_starts_at_zero():
     (cell,) = all_observers.grid_of(loop("kf", 20.0), {}, []).cells
-    setting, kept = design_context.setting(cell), []
+    context, kept = design_context.context_of(cell), []
     for name, entry in OBSERVERS.items():
         with suppress(UserError):  # it does not support this plant
-            motion = getattr(entry.design(setting, entry.options()).gains, "motion", None)
+            motion = getattr(entry.design(context, entry.options()).gains, "motion", None)
             kept += [name] * (isinstance(motion, prediction.Motion) and motion.restarts is None)
     (sentence,) = re.findall(r"only short runs are accurate with ([^.]*)", PAGES["limitations.md"])
     assert sorted(re.findall("`(.*?)`", sentence)) == sorted(kept)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, setting
+from harness import CART, ODD, Case, context_of
 from reference import field_observers as reference
 from reference.linear import Sample
 
@@ -140,7 +140,7 @@ def test_nonlinear_plant_with_delayed_samples_equals_the_reference(monkeypatch):
 
 
 def refused(model=CART, **changed):
-    known = setting(Case(model, 10, 0))._replace(**changed)
+    known = context_of(Case(model, 10, 0))._replace(**changed)
     OBSERVERS["super-twisting"].design(known, OBSERVERS["super-twisting"].options())
 
 

@@ -157,7 +157,7 @@ def pushed(p, name, size):
 
 def with_gains(p, L1, rho, eps):
     """The gains of both observers, with another L1, and SMO's with another injection."""
-    known, out = planning.setting(p.cell), {}
+    known, out = planning.context_of(p.cell), {}
     parts = split(known.model, "test")
     for name, entry in ((name, entry_of(name)) for name in FINDERS):
         numbers = entry.design(known, entry.options(gains="paper"))

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, inputs, noise, problem, recorder, setting, starts
+from harness import CART, ODD, Case, context_of, inputs, noise, problem, recorder, starts
 from reference import held, linear
 from reference import irregular as reference
 
@@ -70,7 +70,7 @@ def wild(case, clock, observer, options):
             random_times.draw_samples(*run, channels, 0, case.seed) if clock.random else common_times.samples(*run)
         )
     plan = common_times.pad_slots(common_times.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
-    known = setting(case)._replace(
+    known = context_of(case)._replace(
         overtaking=random_times.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
     )
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
@@ -90,7 +90,9 @@ def expected(observer, options, model, u, samples, xhat0, design, case):
         return held.linear_run(model, u, samples, xhat0, design.gains.L)
     if observer == "kf":
         W = case.input_intensity * case.model.B @ case.model.B.T
-        return reference.kf(model, u, samples, xhat0, setting(case).P0, design.gains.R, W, options.get("bias_variance"))
+        return reference.kf(
+            model, u, samples, xhat0, context_of(case).P0, design.gains.R, W, options.get("bias_variance")
+        )
     Ki = design.gains.Ki if observer == "pi-pco" else None
     return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
 
@@ -197,4 +199,4 @@ def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
 def test_a_mode_that_no_output_shows_is_named(observer):
     blind = synthesis.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
     with pytest.raises(UserError, match=r"mode 1 is un(detectable|observable)"):
-        OBSERVERS[observer].design(setting(Case(blind, 10, 10)), OBSERVERS[observer].options())
+        OBSERVERS[observer].design(context_of(Case(blind, 10, 10)), OBSERVERS[observer].options())

@@ -19,7 +19,7 @@ def cells(**given):
 
 
 def test_designers_are_told_so_many_times_the_noise():
-    told = [planning.setting(cell).noise_std for cell in cells(axes=AXIS)]
+    told = [planning.context_of(cell).noise_std for cell in cells(axes=AXIS)]
     np.testing.assert_allclose(told, [[0.15], [0.3], [0.9]], rtol=1e-12)
 
 

@@ -25,29 +25,29 @@ def bound(name, parameters=None, **changes):
 
 def test_designers_believe_the_mean_age_of_samples_that_are_jittered():
     """A sample comes 0 .. 60 ticks later than the delay of 200: 230 on average; and as much older as they wrongly believe."""
-    known = planning.setting(cell("cart/white", delay_jitter=0.06))
+    known = planning.context_of(cell("cart/white", delay_jitter=0.06))
     assert known.delay == (200 + np.arange(61).mean(),)
-    assert planning.setting(cell("cart/white", assumed_delay_error=0.05)).delay == (250,)
-    mixed = planning.setting(
+    assert planning.context_of(cell("cart/white", assumed_delay_error=0.05)).delay == (250,)
+    mixed = planning.context_of(
         cell("csth/10s", delay_jitter=40.0, assumed_delay_error=10.0, delay=(20.0, INTERVAL, 70.0))
     )
     assert mixed.delay == (2 + 2 + 1, 1 + 2 + 1, 7 + 2 + 1)
 
 
 def test_the_period_that_designers_believe_is_the_mean_of_intervals_in_turn():
-    assert planning.setting(cell("cart/variable", sampling_pattern=(0.1, 0.3, 0.5))).period == (300,)
+    assert planning.context_of(cell("cart/variable", sampling_pattern=(0.1, 0.3, 0.5))).period == (300,)
 
 
 def test_a_delay_reaches_back_to_the_sample_before_it():
     """Of samples every 0.2 s one of 0.5 s ago reaches three back, one of 0.4 s two."""
-    assert planning.setting(cell("cart/white", delay=(0.5,))).reach == 3
-    assert planning.setting(cell("cart/white", delay=(0.4,))).reach == 2
+    assert planning.context_of(cell("cart/white", delay=(0.5,))).reach == 3
+    assert planning.context_of(cell("cart/white", delay=(0.4,))).reach == 2
 
 
 def test_observers_know_the_model_and_not_what_is_true_of_the_plant():
-    known = planning.setting(cell("cart/variable-gain", {"b": 390.5}))
+    known = planning.context_of(cell("cart/variable-gain", {"b": 390.5}))
     np.testing.assert_array_equal(known.model.B, [[0.0], [355.0]])
-    np.testing.assert_array_equal(planning.setting(cell("csth/literal")).model.A[2], [0, 0, -1.2019e-3])
+    np.testing.assert_array_equal(planning.context_of(cell("csth/literal")).model.A[2], [0, 0, -1.2019e-3])
 
 
 BOUNDLESS = {
@@ -108,11 +108,11 @@ def test_the_bound_knows_the_process_noise_that_there_is_and_not_what_designers_
 
 
 def test_an_observer_is_told_the_prior_and_the_noise_as_variances():
-    known = planning.setting(cell("csth/10s-noise"))
+    known = planning.context_of(cell("csth/10s-noise"))
     np.testing.assert_array_equal(known.P0, np.diag([0.25, 4e8, 25.0]))
     np.testing.assert_allclose(known.noise_variance, [1.0, 0.01, 0.01], rtol=1e-15)
     np.testing.assert_allclose(np.diag(known.process_noise), [1e-5, 2.5e4, 2.5e-4], rtol=1e-12)
-    quiet = planning.setting(cell("csth/10s", assumed_noise_std=()))
+    quiet = planning.context_of(cell("csth/10s", assumed_noise_std=()))
     np.testing.assert_array_equal(quiet.noise_variance, [1e-12] * 3)
 
 

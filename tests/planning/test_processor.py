@@ -15,7 +15,7 @@ import pcbench
 from pcbench.errors import UserError
 from pcbench.export import files
 from pcbench.external import export_draws
-from pcbench.planning import drafts, operation_counts, padding, processor, setting, slowed
+from pcbench.planning import context_of, drafts, operation_counts, padding, processor, slowed
 from pcbench.planning.operation_counts import Cost
 from pcbench.runtime import config
 from pcbench.simulation.schedule import common_times
@@ -207,7 +207,7 @@ def test_designs_know_what_the_processor_has_time_for():
     jax.tree.map(np.testing.assert_array_equal, limited.gains, usual.gains)
     with config.float64():
         (cell,) = parse.grid_of(having(processor_speed=speed), {}, []).cells
-        known = setting(slowed(cell, "kf"))
+        known = context_of(slowed(cell, "kf"))
     assert known.period == (8,)
     assert known.delay == (2 + wait,)
 

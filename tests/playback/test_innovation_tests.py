@@ -11,7 +11,7 @@ from reference.linear import Model, Sample
 from scipy.linalg import expm
 
 import pcbench
-from pcbench.planning import setting
+from pcbench.planning import context_of
 from pcbench.playback import innovation_tests, smoother
 from pcbench.playback.setup import open_playback
 from pcbench.recordings import tables
@@ -140,7 +140,7 @@ def test_the_smoother_is_the_conditional_mean_of_all_samples(noise):
 def test_distance_to_the_smoother_is_taken_after_the_transient(replayed):
     folder, found = replayed
     a = open_playback(folder, MOTOR, ["kf"])
-    model = smoother.model_of(setting(a.cell), np.zeros(2))
+    model = smoother.model_of(context_of(a.cell), np.zeros(2))
     (batch,), (inputs,) = a.log.measurements(), a.log.inputs.read()
     y = np.full((len(inputs.t), 1), np.nan)
     came = ~np.isnan(batch.arrived)

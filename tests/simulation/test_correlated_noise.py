@@ -55,7 +55,7 @@ def test_a_filter_is_designed_for_the_covariance_and_beats_one_that_takes_channe
 
 def test_the_bound_is_what_the_filter_of_the_covariance_reaches():
     (cell,) = parse.grid_of(having(), {}, []).cells
-    bound = build.bound(cell, design_context.setting(cell))
+    bound = build.bound(cell, design_context.context_of(cell))
     ticks, A = 60, expm(np.array(STUDY["lti"]["A"]) * 0.1)
     C, R, Q = np.array(STUDY["lti"]["C"]), np.outer(STD, STD) * np.array(RHO), np.diag(np.square([0.01, 0.05]))
     P, filtered, variance = np.eye(2), {}, []

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, LINEAR, Case, inputs, problem, setting, starts
+from harness import CART, LINEAR, Case, context_of, inputs, problem, starts
 from reference import irregular as reference
 from reference import linear as by_hand
 
@@ -200,7 +200,7 @@ PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs t
 def gains_of():
     """One design for all clocks: for their mean interval, with room for the most disorder of them."""
     most = max(random_times.overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
-    known = setting(CASE)._replace(overtaking=most)
+    known = context_of(CASE)._replace(overtaking=most)
     return {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in OPTIONS.items()}
 
 
@@ -288,7 +288,7 @@ def test_every_run_has_the_numbers_of_the_reference(block, clock):
         want = {
             "pccebo": reference.pccebo(model, u, samples, xhat0, g["pccebo"].L),
             "pi-pco": reference.pco(model, u, samples, xhat0, g["pi-pco"].T, g["pi-pco"].Kp, g["pi-pco"].Ki),
-            "kf": reference.kf(model, u, samples, xhat0, setting(CASE).P0, g["kf"].R),
+            "kf": reference.kf(model, u, samples, xhat0, context_of(CASE).P0, g["kf"].R),
         }
         for name, xhat in want.items():
             e, (stream, final) = (x - xhat)[:-1], lanes(block[clock][name], seed)

@@ -109,7 +109,7 @@ def test_gradients_are_those_of_finite_differences(observer):
     scenario, given, metric = SLOPES[observer]
     study, p = planned(scenario, (observer,))
     study = parse.grid_of(scenario, {"observers": [observer], "options": {observer: given}}, []).study
-    known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
+    known, options = planning.context_of(p.cell), options_of(study, p.cell.scenario, observer)
     every, at = parameters.start(
         observer,
         OBSERVERS[observer],

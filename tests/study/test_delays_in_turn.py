@@ -8,7 +8,7 @@ from logged import MOTOR, rows
 
 from pcbench.errors import UserError
 from pcbench.planning.build import samples_of
-from pcbench.planning.design_context import setting
+from pcbench.planning.design_context import context_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import empirical_delays, parse
 
@@ -58,7 +58,7 @@ def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
     each = [(t, a) for t, a in of_the_log(taken, late, cell.times.ticks) if a is not None]
     most = max(sum(newer > t and sooner < a for newer, sooner in each) for t, a in each)
-    assert setting(cell).overtaking == most > 1
+    assert context_of(cell).overtaking == most > 1
 
 
 def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sample(tmp_path):

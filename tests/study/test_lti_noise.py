@@ -100,9 +100,9 @@ def test_the_bound_is_that_of_the_noise_that_there_is_whatever_designers_assume(
 
 
 def test_designers_are_told_the_noise_unless_the_study_says_what_they_assume():
-    told = planning.setting(the_cell()).process_noise
+    told = planning.context_of(the_cell()).process_noise
     np.testing.assert_allclose(told, linear.process_noise(MODEL.A, W, TICK), rtol=1e-10)
-    wrong = planning.setting(the_cell(lti=FULL | {"assumed_process_std": [0.1, 0.2, 0.3]})).process_noise
+    wrong = planning.context_of(the_cell(lti=FULL | {"assumed_process_std": [0.1, 0.2, 0.3]})).process_noise
     np.testing.assert_allclose(wrong, np.diag([0.01, 0.04, 0.09]), rtol=1e-14)
 
 
@@ -110,10 +110,10 @@ def test_it_is_an_axis_of_which_designers_are_told():
     asked = study(PLANT) | {"axes": {"process_std": [0.0, [0.1, 0.0, 0.2]]}}
     quiet, noisy = cells_of(parse.parse(asked, "own"))
     assert (quiet.values["process_std"], noisy.values["process_std"]) == ([0.0] * 3, [0.1, 0.0, 0.2])
-    np.testing.assert_array_equal(planning.setting(noisy).process_noise, np.diag(np.square([0.1, 0.0, 0.2])))
+    np.testing.assert_array_equal(planning.context_of(noisy).process_noise, np.diag(np.square([0.1, 0.0, 0.2])))
     asked["lti"] = PLANT | {"assumed_process_std": 0.7}
     _, noisy = cells_of(parse.parse(asked, "own"))
-    np.testing.assert_allclose(planning.setting(noisy).process_noise, 0.49 * np.eye(3), rtol=1e-14)
+    np.testing.assert_allclose(planning.context_of(noisy).process_noise, 0.49 * np.eye(3), rtol=1e-14)
     assert "process_std" not in the_cell().values, "a column only where it is an axis"
 
 
@@ -170,6 +170,6 @@ def test_a_scenario_with_noise_tells_designers_that_of_the_axis():
     """The tank's designers are told the noise that there is; where it has none, they keep what they assume."""
     axes = {"process_std": [[0.1, 2.0, 0.3]]}
     (noisy,) = cells_of(parse.parse({"name": "tank", "scenarios": ["csth/10s-noise"], "axes": axes}, "tank"))
-    np.testing.assert_allclose(planning.setting(noisy).process_std, (0.1, 2.0, 0.3))
+    np.testing.assert_allclose(planning.context_of(noisy).process_std, (0.1, 2.0, 0.3))
     (quiet,) = cells_of(parse.parse({"name": "tank", "scenarios": ["csth/10s"], "axes": axes}, "tank"))
-    assert planning.setting(quiet).process_std == quiet.scenario.belief.assumed_process_std
+    assert planning.context_of(quiet).process_std == quiet.scenario.belief.assumed_process_std

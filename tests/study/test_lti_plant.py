@@ -84,7 +84,7 @@ def test_the_plant_moves_by_its_own_numbers_and_observers_keep_the_models(what):
     want = loop(own.get("A", A), own.get("B", B), u)
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-12 * np.abs(want).max())
     (cell,) = cells_of(parse.parse(asked, "own"))
-    model = planning.setting(cell).model
+    model = planning.context_of(cell).model
     for got, known in zip(model[:3], matrices(2.0, 0.5), strict=True):
         np.testing.assert_allclose(got, known, rtol=1e-15)
 

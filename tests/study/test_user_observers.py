@@ -177,7 +177,7 @@ def test_what_an_import_raises_has_its_line(here):
         study(observers=["bad.py:nudge"])
 
 
-MODEL, DESIGN = "class Options(BaseModel):", "def design(setting, options):"
+MODEL, DESIGN = "class Options(BaseModel):", "def design(context, options):"
 BROKEN = {  # by what is wrong: a text of the file, what stands there instead with its line marked, and what is said
     "no model": (
         (MODEL, "class Options:  # here"),
@@ -203,8 +203,8 @@ BROKEN = {  # by what is wrong: a text of the file, what stands there instead wi
         "observer nudge: design got AttributeError: 'Options'",
     ),
     "a design's line": ((DESIGN, f"{DESIGN}\n    options.shore  # here"), "mine.py line {}, expected Design"),
-    "a design of other arguments": ((DESIGN, "def design(setting):  # here"), "design got TypeError: design() takes 1"),
-    "its line": ((DESIGN, "def design(setting):  # here"), "but 2 were given, mine.py line {}, expected Design"),
+    "a design of other arguments": ((DESIGN, "def design(context):  # here"), "design got TypeError: design() takes 1"),
+    "its line": ((DESIGN, "def design(context):  # here"), "but 2 were given, mine.py line {}, expected Design"),
     "no design": ((DESIGN, f"{DESIGN}  # here\n    return 1"), "design returned int, mine.py line {}, expected Design"),
 }
 
@@ -230,7 +230,7 @@ def test_what_a_file_does_wrong_is_one_sentence_with_its_line_and_nothing_is_wri
 def test_what_pcbench_itself_does_wrong_is_no_mistake_of_a_users():
     """A traceback is what its authors need."""
 
-    def broken(setting, options):
+    def broken(context, options):
         raise TypeError
 
     broken.__module__ = "pcbench.observers.kf"

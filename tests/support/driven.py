@@ -80,13 +80,13 @@ def _run(name, gains, traffic, u, h, xhat0):
     return lax.scan(tick, (memory, notes), (jnp.arange(len(u)), traffic))[1]
 
 
-def run(name, setting, options, traffic, u, xhat0):
+def run(name, context, options, traffic, u, xhat0):
     """Return xhat [N+1, n] and what the observer believes of its error [N+1, n, n]."""
-    return whole(name, setting, options, traffic, u, xhat0)[:2]
+    return whole(name, context, options, traffic, u, xhat0)[:2]
 
 
-def whole(name, setting, options, traffic, u, xhat0):
+def whole(name, context, options, traffic, u, xhat0):
     """Return the same, and of what arrives at each tick nu' S^-1 nu and how many numbers it is of, [N+1, 2]."""
-    gains = OBSERVERS[name].design(setting, OBSERVERS[name].options(**options)).gains
-    given = jax.tree.map(jnp.asarray, (gains, traffic, u, setting.dt, xhat0))
+    gains = OBSERVERS[name].design(context, OBSERVERS[name].options(**options)).gains
+    given = jax.tree.map(jnp.asarray, (gains, traffic, u, context.dt, xhat0))
     return tuple(map(np.asarray, _run(name, *given)))

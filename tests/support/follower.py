@@ -18,8 +18,8 @@ class Options(BaseModel):
     L: float = pcbench.tunable(0.0)
 
 
-def design(setting, options):
-    Phi, Gamma = pcbench.discretize_zoh(setting.model.A, setting.model.B, setting.dt)
+def design(context, options):
+    Phi, Gamma = pcbench.discretize_zoh(context.model.A, context.model.B, context.dt)
     return pcbench.Design(Gains(Phi, Gamma, options.L), pcbench.no_certificate("for tests"))
 
 

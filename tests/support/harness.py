@@ -89,7 +89,7 @@ def starts(case: Case) -> tuple[np.ndarray, np.ndarray]:
     return x0, np.zeros(n) if case.xhat0 is None else np.asarray(case.xhat0, float)
 
 
-def setting(case: Case) -> DesignContext:
+def context_of(case: Case) -> DesignContext:
     q, n = case.model.C.shape
     prior = np.diag(np.arange(1.0, n + 1) ** 2)
     chain = case.model is TWO_AXES
@@ -104,7 +104,7 @@ def setting(case: Case) -> DesignContext:
 def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, GridPointParams]:
     """Observers are name -> options."""
     q, n = case.model.C.shape
-    known = setting(case)
+    known = context_of(case)
     Phi, Gamma = linear.one_tick(case.model, case.h)
     every = (case.ticks + 1,)
     params = Params(

@@ -21,10 +21,10 @@ class Options(BaseModel):
     share: float = 0.1
 
 
-def design(setting, options):
-    Phi, Gamma = one_tick(setting.model, setting.dt)
-    C = setting.model.C
-    noisier = 1 + sum(setting.noise_std)
+def design(context, options):
+    Phi, Gamma = one_tick(context.model, context.dt)
+    C = context.model.C
+    noisier = 1 + sum(context.noise_std)
     gains = Gains(Phi, Gamma, C, options.share / noisier * C.T)
     return Design(gains, Certificate("none: for tests", 1.0, "none", "none"))
 

@@ -149,7 +149,7 @@ def test_a_model_that_outgrows_its_delay_is_refused():
     """By the design itself: a study's own plant is refused before, where it outgrows its horizon."""
     study, _, _ = slow(delay=[0.1, 3.9], steady_start=0.5)
     (cell,) = cells(parse.parse(study, "slow"), "lti")
-    known = planning.setting(cell)
+    known = planning.context_of(cell)
     faster = known._replace(model=known.model._replace(A=np.array([[60.0, 1.0], [0.0, -1.0]])))
     with pytest.raises(UserError, match=r"grows by \d+ a sample over a delay of 39 samples.*shorten the delay"):
         chain.design(faster, chain.Options())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, setting
+from harness import CART, ODD, Case, context_of
 from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.errors import DesignError, UserError
@@ -24,7 +24,7 @@ PLANTS = {"cart": (CART, 200, 200), "odd": (ODD, 300, 100)}  # period and delay 
 
 def known(name, noise_std=0.3):
     model, te, d = PLANTS[name]
-    return setting(Case(model, te, d, noise_std=noise_std))
+    return context_of(Case(model, te, d, noise_std=noise_std))
 
 
 def designed(name, **options):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, setting
+from harness import CART, ODD, Case, context_of
 from reference import cart as reference_cart
 from scipy.linalg import expm, solve_discrete_are
 
@@ -104,7 +104,7 @@ def test_the_closed_form_is_the_least_norm():
 
 @pytest.mark.parametrize("te", PERIODS)
 def test_the_gain_is_deadbeat_and_equals_the_reference(te):
-    design = OBSERVERS["pccebo"].design(setting(Case(CART, round(te * 1000), 0)), OBSERVERS["pccebo"].options())
+    design = OBSERVERS["pccebo"].design(context_of(Case(CART, round(te * 1000), 0)), OBSERVERS["pccebo"].options())
     closed = (np.eye(2) - design.gains.L @ CART.C) @ phi(CART, te)
     assert np.abs(np.linalg.eigvals(closed)).max() <= np.exp(-122 * te) * (1 + 1e-6) + 1e-15
     np.testing.assert_allclose(design.gains.L, reference_cart.pccebo_gain(round(te * 1000)), atol=1e-12)
@@ -127,7 +127,7 @@ def test_a_gain_that_is_not_finite_is_refused():
 def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
     """What is remembered is judged anew: a foreign answer is not the optimum, an unreadable one is solved again."""
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
-    case = setting(Case(CART, 200, 200))
+    case = context_of(Case(CART, 200, 200))
 
     def design():
         current_gains.at_the_mean.cache_clear()
@@ -215,7 +215,7 @@ def test_riccati_solution_solves_the_equation_and_its_closed_form():
 def test_an_undetectable_plant_has_no_kfbo():
     blind = linear.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
     with pytest.raises(DesignError, match=r"Riccati|not certified"):
-        OBSERVERS["kfbo"].design(setting(Case(blind, 10, 10)), OBSERVERS["kfbo"].options())
+        OBSERVERS["kfbo"].design(context_of(Case(blind, 10, 10)), OBSERVERS["kfbo"].options())
 
 
 def test_recursion_converges_to_the_discrete_riccati_equation():
