@@ -59,7 +59,7 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
     (cell,) = grid.cells_of(study)
     if not small:
         return next(planning.drafts([cell]))
-    cell = cell.having(duration=2.0, steady_start=1.0)
+    cell = cell.with_fields(duration=2.0, steady_start=1.0)
     draft = next(planning.drafts([cell]))
     return draft._replace(layout=draft.layout._replace(width=FEW))
 

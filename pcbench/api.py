@@ -249,7 +249,7 @@ def simulate(
             columns |= {f"{name}.{signals[i]}.low": ends[0], f"{name}.{signals[i]}.high": ends[1]}
     columns |= {f"target.{signals[i]}": column for i, column in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
-    columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.arrived).T)}
+    columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.newest).T)}
     frame = pd.DataFrame(columns)
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["excluded"] = study.excluded or {}  # reasons for observers of "all" that are missing

@@ -62,8 +62,8 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
     """A scenario of a user's plant, with some of its parameters changed."""
     plugin = registry.load("plant", target, WHERE)
-    s = plant.alone(label, plugin.entry, {"own": {"plant": plugin}}) if name is None else parse.scenario_of(name)
-    code, actual = plugin.code, s.own.get("plant")
+    s = plant.alone(label, plugin.entry, {"user_code": {"plant": plugin}}) if name is None else parse.scenario_of(name)
+    code, actual = plugin.code, s.user_code.get("plant")
     if actual is None or (actual.code.name, actual.code.digest) != (code.name, code.digest):
         raise UserError(
             f"{WHERE} --scenario: got '{short(str(name))}', whose plant is {s.plant}, expected a scenario of {label}; name one "
@@ -74,4 +74,4 @@ def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]
             raise unknown(f"{WHERE} --set", f"number of {label}", key, parameters_of(plugin.entry))
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise UserError(f"{WHERE} --set: got {key} = {short(str(value))}, expected a number; write one.")
-    return s.having(model={**s.belief.model, **{key: float(value) for key, value in numbers.items()}})
+    return s.with_fields(model={**s.belief.model, **{key: float(value) for key, value in numbers.items()}})

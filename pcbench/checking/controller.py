@@ -72,14 +72,14 @@ class Trial(NamedTuple):
 
 def trial(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:
     """Return a controller's trial and a text of its options; raise UserError if the options are invalid."""
-    loop_plugin = scenario.own.get("controller")
+    loop_plugin = scenario.user_code.get("controller")
     control = dict(scenario.loop.control) if loop_plugin and loop_plugin.code == plugin.code else {}
     network = {name: scenario.value(name) for name in ("actuator_delay", *COMMANDS)} if scenario.loop.controller else {}
     table = {"use": label, **{k: v for k, v in network.items() if v}, **control, **options}
-    open_loop = scenario.having(
-        controller="", control={}, own={k: v for k, v in scenario.own.items() if k != "controller"}
+    open_loop = scenario.with_fields(
+        controller="", control={}, user_code={k: v for k, v in scenario.user_code.items() if k != "controller"}
     )
-    s = controller_table.close_loop(open_loop.having(actuator_delay=None), table, "options", {label: plugin})
+    s = controller_table.close_loop(open_loop.with_fields(actuator_delay=None), table, "options", {label: plugin})
     cell = cell_of(s)
     values = loop_setup.options(cell)
     text = ", ".join(f"{name} = {brief_repr(value)}" for name, value in values.model_dump().items())

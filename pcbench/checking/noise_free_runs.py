@@ -25,14 +25,14 @@ def short(cell: Cell) -> Cell:
     """Return a cell with a duration of at most `LONGEST` ticks."""
     s = cell.scenario
     ticks = min(cell.times.ticks, LONGEST)
-    return cell.having(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
+    return cell.with_fields(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
 
 
 def quiet(cell: Cell) -> Cell:
     """Return a cell in which all assumptions of the observers are true and the plant has no process noise."""
     s = cell.scenario
     changes = {"unknown_input": "zero"} if s.truth.unknown_input else {}
-    quiet_cell = cell.having(
+    quiet_cell = cell.with_fields(
         **changes,
         parameter_drift=0.0,
         parameters={},

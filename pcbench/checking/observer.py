@@ -243,7 +243,7 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
     If the observer claims so, the error must be 0. Otherwise it must stay below the divergence threshold.
     """
     label, plugin = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
-    cell = cell_of(scenario)._replace(options={label: candidate.options}, own={label: plugin})
+    cell = cell_of(scenario)._replace(options={label: candidate.options}, user_observers={label: plugin})
     (p,) = plan_cell(quiet(short(cell)))
     out, where = record_run(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
     if claims_it(cell, label):

@@ -115,14 +115,14 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
             noise_std=measured.noise_std,
         ),
         duration=SPAN * every * scenario.dt,
-    ).having(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
+    ).with_fields(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
     scenarios = {"the scenario's own": plain}
     for name, delay in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
         length = every * scenario.dt * 2 if delay == seconds[2] and every % 2 else delay
-        scenarios[name] = plain.having(delay=(length,) * at_once)
+        scenarios[name] = plain.with_fields(delay=(length,) * at_once)
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
-        scenarios["varying intervals"] = scenarios["one period late"].having(sampling_pattern=turn)
+        scenarios["varying intervals"] = scenarios["one period late"].with_fields(sampling_pattern=turn)
     all_cases = [_case(name, s, None, size) for name, s in scenarios.items()]
     if takes in VARYING:
         all_cases.append(_case("samples out of sequence", scenarios["one period late"], every, size))

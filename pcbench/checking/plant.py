@@ -113,7 +113,7 @@ def alone(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:
         belief=Belief(start, start, unknown_std=unknowns),
         scoring=Scoring((*start, *unknowns, *(1.0,) * len(entry.errors)), np.inf, steady_start=dt),
         dt=dt,
-    ).having(**fields)
+    ).with_fields(**fields)
 
 
 def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +201,9 @@ def finite(t: Trial) -> str:
 
 def slopes(t: Trial) -> str:
     """Check the derivatives of jax and of the linear model against central and one-sided finite differences."""
-    is_slope = t.model.known is None and (t.entry.model is None or t.entry.residual is not None)  # the linear model
+    is_slope = t.model.nonlinearity is None and (
+        t.entry.model is None or t.entry.residual is not None
+    )  # the linear model
     A, B = t.model.A, t.model.B
     if motion(t) == "step" and not t.model.discrete:
         A, B = discretize_zoh(A, B, t.scenario.dt)
@@ -351,7 +353,7 @@ def check_observability(t: Trial) -> str:
 
 def perfect_start(t: Trial) -> str:
     """Check that observers with the true model have no error, from a true initial state without noise."""
-    if t.model.known is not None:
+    if t.model.nonlinearity is not None:
         raise SkipCheck("its unknown input has a known part, which the linear model leaves out")
     away = t.entry.model is not None or t.entry.successor is not None
     at_rest = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
@@ -360,7 +362,7 @@ def perfect_start(t: Trial) -> str:
     plain = t.scenario._replace(
         loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), duration=4 * every
     )
-    s = plain.having(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
+    s = plain.with_fields(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
     cell = cell_of(s)._replace(options={name: observer_of(name).options()})
     (p,) = plan_cell(quiet(cell))
     u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)

@@ -93,7 +93,7 @@ def perfect_start(grid: Grid) -> str:
                 grows.append(cell.scenario.name)
                 break
             for label, e in in_parts(p, out).items():
-                if label in claims and label in cell.own:
+                if label in claims and label in cell.user_observers:
                     require_none(e, f"perfect start: got, from {label} in {cell.scenario.name},", cell)
                 elif label in claims and not (e <= ROUNDING).all():
                     inexact.append(f"{label} in {cell.scenario.name} ({np.max(e):.2g} of the largest state)")

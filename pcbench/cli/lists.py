@@ -45,7 +45,7 @@ def list_(
         return
     for kind, members in kinds.items():
         summaries = [description["summary"] for description in members.values()]
-        columns = [Column("name", list(members), left=True), Column("description", summaries, prose=True)]
+        columns = [Column("name", list(members), is_text=True), Column("description", summaries, prose=True)]
         screen.fit(TITLES.get(kind, kind), columns)
     kind = what or "observers"
     screen.print(f"Show one of them with all details: pcbench list {kind} {next(iter(kinds[kind]))}")
@@ -93,7 +93,7 @@ def show(
         screen = console()
         print_in_full(s.name, catalogue.scenario(s, study), screen)
         end = f"Write it as a study file with all fields: pcbench show {scenario} --toml > mine.toml"
-        if s.plant == "lti" or s.own:
+        if s.plant == "lti" or s.user_code:
             end = f"This is your own study: edit {scenario}, then pcbench run {scenario}"
         screen.say(end)
 
@@ -111,7 +111,7 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
         print(table.to_json(orient="records", indent=2))
         return
     screen = console()
-    columns = [Column(name, table[name].to_list(), left=True) for name in ("scenario", "observer")]
+    columns = [Column(name, table[name].to_list(), is_text=True) for name in ("scenario", "observer")]
     cells = [Column("grid point", [str(v) for v in table.cell])] if table.cell.nunique() > 1 else []
     counts = [Column(name, [f"{v:,}" for v in table[name]]) for name in ("sample", "tick", "memory")]
     if "computing_time" in table:

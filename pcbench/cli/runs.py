@@ -308,7 +308,9 @@ def merge(
 
     with show_progress(quiet) as progress:
         report = merge.merge(folders, into, progress)
-    duplicates = f" {report.doubled:,} runs were in more than one dataset, and are equal." if report.doubled else ""
+    duplicates = (
+        f" {report.duplicates:,} runs were in more than one dataset, and are equal." if report.duplicates else ""
+    )
     fills = f"pcbench run {into}/study.toml --out {into}"
     missing = f" {report.missing:,} runs are missing. Add them: {fills}" if report.missing else ""
     print(f"{report.blocks:,} blocks in {into}.{duplicates}{missing}")
@@ -370,7 +372,7 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
 
         plots.save(plots.quantiles(validation), figure)
     if as_json:
-        summary = {"verdict": validation.verdict, "limit": validation.limit, "refused": validation.refused}
+        summary = {"verdict": validation.verdict, "limit": validation.limit, "refused": validation.refusals}
         print(readable(summary | {"rows": validation.rows.to_dict("records")}))
     elif not quiet:
         screen.against_exact(validation, console())

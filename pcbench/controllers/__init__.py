@@ -55,4 +55,8 @@ def law_of(entry: ControllerSpec, options: Any) -> Controller:
 
 def entry_of(scenario: Scenario) -> ControllerSpec:
     """Return the controller of a scenario's loop: its own one, or the built-in one of its name."""
-    return scenario.own["controller"].entry if "controller" in scenario.own else CONTROLLERS[scenario.loop.controller]
+    return (
+        scenario.user_code["controller"].entry
+        if "controller" in scenario.user_code
+        else CONTROLLERS[scenario.loop.controller]
+    )

@@ -54,7 +54,7 @@ class Params(NamedTuple):
     first: Leaf  # the tick of row 0, below 0
     path: Leaf  # [T, 3, 2] Td, Td', Td'' at t
     goal: Leaf  # [T, 3, 2] at sigma
-    ahead: Leaf  # [T] sigma - t [s]
+    lead: Leaf  # [T] sigma - t [s]
     model: Callable[..., Array]  # (now, x[4], B[2]) -> dx/dt[4] of the nominal plant
     inverse: Callable[..., Array]  # (B[2], Td[2], Td'[2], Td''[2]) -> u[2]
 
@@ -81,7 +81,7 @@ def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, mo
         first=np.array(-rows),
         path=path(t),
         goal=path(sigma),
-        ahead=sigma - t,
+        lead=sigma - t,
         model=model,
         inverse=inverse,
     )
@@ -108,7 +108,7 @@ def now_at(params: Params, now: Now, estimate: Array, coming: Callable[[Array], 
 def pd_command(params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array]) -> Float[Array, "2"]:
     """Return the present command, from the state predicted to the time at which it acts."""
     row, B = now.tick - params.first, estimate[4:]
-    horizon = params.ahead[row]
+    horizon = params.lead[row]
 
     def step(i: Array, x: Array) -> Array:
         future = now._replace(u=coming(i))

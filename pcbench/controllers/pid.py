@@ -89,7 +89,7 @@ def prepare(options: Options, context: ControllerContext) -> Params:
         T=np.asarray(T),
         filter=np.asarray(options.filter / (options.filter + T)),
         x_ref=reference(
-            options.set_point, context.states, context.tick, context.dt, context.ticks + 1 + context.ahead
+            options.set_point, context.states, context.tick, context.dt, context.ticks + 1 + context.lookahead
         ).x,
         offset=np.broadcast_to(np.asarray(options.offset, float), m).copy(),
         every=np.asarray(period),

@@ -61,7 +61,7 @@ def prepare(options: Options, context: ControllerContext) -> Params:
 def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
     """Return the parameters of a law with the gain K, for options that include those of all laws."""
     Phi, Gamma = context.tick
-    aims = reference(options.set_point, context.states, (Phi, Gamma), context.dt, context.ticks + 1 + context.ahead)
+    aims = reference(options.set_point, context.states, (Phi, Gamma), context.dt, context.ticks + 1 + context.lookahead)
     m = Gamma.shape[1]
     limit = np.inf if options.limit is None else np.asarray(options.limit, float)
     return Params(

@@ -45,7 +45,7 @@ class MergeReport(NamedTuple):
     """The result of a merge."""
 
     blocks: int
-    doubled: int  # runs that more than one dataset held, all of them equal
+    duplicates: int  # runs that more than one dataset held, all of them equal
     missing: int  # runs that no dataset held
 
 

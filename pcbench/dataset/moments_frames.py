@@ -57,13 +57,13 @@ class Exact:
         frames = []
         for m in self.solved(self._select(scenario, cell), "std"):
             for part in self.over_time(m):
-                head, n = columns.keys(self.grid.study.name, m.planned.cell), len(part["t"])
+                head, n = columns.keys(self.grid.study.name, m.plan.cell), len(part["t"])
                 frames.append(pd.DataFrame({name: [value] * n for name, value in head.items()} | part))
         return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
     def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[np.generic]]]:
         """Yield the moments of a grid point by column, for each observer and signal with exact results."""
-        cell = m.planned.cell
+        cell = m.plan.cell
         names = [name for name, _ in signals_of(cell.scenario)]
         ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).every(cell.times.ticks))
         for label, place in m.signals.items():
@@ -119,7 +119,7 @@ class Exact:
 
     def rows(self, m: CellMoments) -> Iterator[dict[str, object]]:
         """Yield the rows of `stats` of each observer as columns, in their order, for `columns.concat_columns`."""
-        cell, p = m.planned.cell, m.planned
+        cell, p = m.plan.cell, m.plan
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = resolvable_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
         names, units = _words(tuple(signals))

@@ -78,7 +78,7 @@ def _over_time(
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets the rows of every cell, by column."""
     moments = exact.solved(claim.cells, "std" if len(claim.cells) <= MOST else "", POINTS)
-    for key, parts in itertools.groupby(moments, key=lambda m: m.planned.cell.key):
+    for key, parts in itertools.groupby(moments, key=lambda m: m.plan.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
         for m in parts:
             rows += exact.rows(m)

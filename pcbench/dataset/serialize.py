@@ -27,9 +27,9 @@ def pack(p: Plan) -> bytes | Plan:
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     certificates = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
-    cell = p.cell._replace(scenario=p.cell.scenario.having(own={}, **plain), options={}, own={})
-    plugins = {("observer", o): plugin for o, plugin in p.cell.own.items() if o in p.labels}
-    plugins |= {(kind, ""): plugin for kind, plugin in p.cell.scenario.own.items()}
+    cell = p.cell._replace(scenario=p.cell.scenario.with_fields(user_code={}, **plain), options={}, user_observers={})
+    plugins = {("observer", o): plugin for o, plugin in p.cell.user_observers.items() if o in p.labels}
+    plugins |= {(kind, ""): plugin for kind, plugin in p.cell.scenario.user_code.items()}
     numbers = io.BytesIO()
     try:
         _Pickler(numbers, plugins).dump(p._replace(cell=cell, layout=layout, certificates=certificates))
@@ -48,8 +48,8 @@ def unpack(parcel: bytes | Plan) -> Plan:
     codes, numbers = pickle.loads(parcel)
     plugins = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
     p: Plan = _Unpickler(io.BytesIO(numbers), plugins).load()
-    s = p.cell.scenario.having(own={kind: plugin for (kind, o), plugin in plugins.items() if not o})
-    cell = p.cell._replace(scenario=s, own={o: plugin for (_, o), plugin in plugins.items() if o})
+    s = p.cell.scenario.with_fields(user_code={kind: plugin for (kind, o), plugin in plugins.items() if not o})
+    cell = p.cell._replace(scenario=s, user_observers={o: plugin for (_, o), plugin in plugins.items() if o})
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     observers = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = plants.entry_of(s).plant, loop_setup.controller(cell)

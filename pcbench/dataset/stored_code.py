@@ -24,7 +24,7 @@ COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py
 
 def keep(target: storage.Target, study: Study) -> None:
     """Copy the files of user-defined observers into a target, unless they are there."""
-    for plugin in study._own.values():
+    for plugin in study._user_observers.values():
         for name, text in plugin.code.files:
             path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
             if storage.text(target, path) != text:

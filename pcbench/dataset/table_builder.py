@@ -24,7 +24,7 @@ def stats_table(
 ) -> pa.Table:
     """Return the rows of stats, by cell, observer, signal and metric."""
     summaries = list(by_observer.values())
-    mask = np.concatenate([d.shown for d in summaries], 1)
+    mask = np.concatenate([d.exists for d in summaries], 1)
     values = np.concatenate([d.values for d in summaries], 1)[mask]
     cells, row = np.nonzero(mask)
     observer = np.repeat(np.arange(len(summaries)), [len(d.names) for d in summaries])[row]

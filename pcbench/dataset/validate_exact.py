@@ -32,7 +32,7 @@ class ExactValidation(NamedTuple):
     """The result of the comparison."""
 
     rows: pd.DataFrame  # KEY, n, mean, se, exact, z (as normal), apart: relative, where runs do not vary
-    refused: list[str]  # why an observer has no exact value, a sentence each
+    refusals: list[str]  # why an observer has no exact value, a sentence each
     limit: float  # the largest |z| that so many comparisons allow
 
     @property

@@ -30,7 +30,7 @@ class Model(NamedTuple):
     discrete: bool = False
     E: Matrix | None = None  # [n, r]; None: no unknown input
     # x [n] -> [r], a jax.tree_util.Partial with its arrays; None: no known part
-    known: Callable[[Any], Any] | None = None
+    nonlinearity: Callable[[Any], Any] | None = None
 
     @property
     def feedthrough(self) -> Matrix:
@@ -217,7 +217,7 @@ def with_unknown_input(model: Model) -> Model:
     if model.discrete:
         A[n:, n:] = np.eye(r)
     C = np.hstack([model.C, np.zeros((len(model.C), r))])
-    return model._replace(A=A, B=np.vstack([model.B, np.zeros((r, m))]), C=C, E=None, known=None)
+    return model._replace(A=A, B=np.vstack([model.B, np.zeros((r, m))]), C=C, E=None, nonlinearity=None)
 
 
 def with_input_bias(model: Model) -> Model:

@@ -91,7 +91,7 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
     times: PyTree = p.schedule
     plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
-    samples = _queue(plan.taken * rows)
+    samples = _queue(plan.sampling_ticks * rows)
     shift = times.error * rows
     snapshots = _queue(plan.timestamp * rows) if times.stamp else samples._replace(time=samples.time - shift)
     events = Events(

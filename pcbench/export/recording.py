@@ -16,9 +16,9 @@ def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Vecto
 
     Raises UserError if the recording is too long for a table in C.
     """
-    if a.last >= LONGEST:
+    if a.last_tick >= LONGEST:
         raise UserError(
-            f"{a.name}: got {a.last + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
+            f"{a.name}: got {a.last_tick + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
             "observer; take a part of the recording that has its longest delays."
         )
     if with_std := a.survey.with_std():
@@ -28,7 +28,7 @@ def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Vecto
         )
     p = prepare_observers(a, room_of(a))
     parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
-    inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last + 1]
-    truth = np.concatenate([part.truth for part in parts])[: a.last + 1]
+    inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last_tick + 1]
+    truth = np.concatenate([part.truth for part in parts])[: a.last_tick + 1]
     events = [event for part in parts for event in events_of(part.window, notifies, part.first)]
     return p, Vector(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)

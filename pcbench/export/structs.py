@@ -125,7 +125,7 @@ class Vector(NamedTuple):
     events: list[Event]
     truth: Floats  # [N+1, s] NaN where it is unknown
     expected: Floats  # [N+1, s] what the simulation, or the replay of a recording, estimates
-    of: str = "a simulation"
+    source: str = "a simulation"
 
 
 def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
@@ -155,7 +155,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
         sense=schedule.snapshot,
         sampled=(schedule.sense >= 0)[:, None] & (schedule.sample >= 0) & is_sent,
         arrive=np.where(mask.any(-1), schedule.arrive, -1),
-        taken=schedule.timestamp,
+        sampling_ticks=schedule.timestamp,
         mask=mask,
         number=schedule.number,
         value=values[schedule.arrive],
@@ -204,7 +204,7 @@ def events_of(w: Window, notifies: bool, first: int = 0, early: int = 0) -> list
                 packet=int(w.arrive[row, slot]),
                 value=np.where(w.mask[row, slot], w.value[row, slot], 0.0),
                 mask=w.mask[row, slot],
-                age=np.full(q, k - int(w.taken[row, slot])),
+                age=np.full(q, k - int(w.sampling_ticks[row, slot])),
                 number=w.number[row, slot].astype(int),
                 ticks_since_arrival=int(w.ticks_since_arrival[row, slot]),
             )

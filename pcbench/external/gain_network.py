@@ -67,7 +67,7 @@ class Memory(NamedTuple):
     """The memory of the filter between ticks."""
 
     x: Float[Array, " n"]
-    last: Float[Array, " n"]  # last correction
+    last_correction: Float[Array, " n"]  # last correction
     units: Float[Array, " H"]
     outputs: Float[Array, "d+1 q"]  # h of the priors of now and of the last d ticks, d the delay
 
@@ -106,7 +106,7 @@ def correct(system: System, network: Network, memory: Memory, y: Float[Array, " 
     """Return the memory after a sample that was taken `delay` ticks ago, if `mask` is true."""
     outputs = jnp.concatenate([system.output(memory.x)[None], memory.outputs[:-1]])
     e = y - outputs[-1]
-    W_i = network.W @ (jnp.concatenate([e, memory.last]) / system.scale) + network.b
+    W_i = network.W @ (jnp.concatenate([e, memory.last_correction]) / system.scale) + network.b
     U_s, H = network.U @ memory.units, len(memory.units)
     z, r = jax.nn.sigmoid(W_i[:H] + U_s[:H]), jax.nn.sigmoid(W_i[H : 2 * H] + U_s[H : 2 * H])
     units = (1 - z) * memory.units + z * jnp.tanh(W_i[2 * H :] + r * U_s[2 * H :])

@@ -68,17 +68,17 @@ def _run_batch(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Ru
     x = np.asarray(trajectory.compiled_some()(layout, 1, end + 1, problem, root, seeds).x)
     first = _starts(layout, problem, root, seeds)
     samples_by_run = [_samples(p, root_seed, int(seed)) for seed in seeds]
-    times = [{tick: row for row, tick in enumerate(sorted({s.taken for s in samples}))} for samples in samples_by_run]
+    times = [{tick: row for row, tick in enumerate(sorted({s.tick for s in samples}))} for samples in samples_by_run]
     ticks = np.zeros((len(seeds), max(map(len, times))), int)
     numbers = np.full((*ticks.shape, q), -1)
     for i, (rows, samples) in enumerate(zip(times, samples_by_run, strict=True)):
         ticks[i, : len(rows)] = np.maximum(list(rows), 0)
         for s in samples:
-            numbers[i, rows[s.taken], s.channel] = s.number
+            numbers[i, rows[s.tick], s.channel] = s.number
     measure = trajectory.jit_measure_runs()
     y = np.asarray(measure(layout, problem, root, np.asarray(seeds), x[:, :n], ticks, numbers))
     for i, (rows, samples) in enumerate(zip(times, samples_by_run, strict=True)):
-        values = np.array([y[i, rows[s.taken], s.channel] for s in samples])
+        values = np.array([y[i, rows[s.tick], s.channel] for s in samples])
         outcomes = [
             s._replace(arrives=common_times.NEVER) if np.isnan(v) else s for s, v in zip(samples, values, strict=True)
         ]
@@ -94,5 +94,5 @@ def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: N
 def _samples(p: Plan, root_seed: int, seed: int) -> list[common_times.Sample]:
     clocks, ticks = p.cell.times.clocks, p.cell.times.ticks
     if not p.cell.times.random:
-        return [s for s in common_times.samples(clocks, ticks) if s.taken <= ticks]
+        return [s for s in common_times.samples(clocks, ticks) if s.tick <= ticks]
     return random_times.draw_samples(clocks, ticks, len(p.problem.noise_std), root_seed, seed)

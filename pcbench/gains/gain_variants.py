@@ -296,4 +296,4 @@ def _tune_observer(
         return "the start has no finite value on the training runs", {}
     except AnotherTuning as error:
         raise UserError(f"{str(error).removesuffix('.')}, or start over with --overwrite.") from None
-    return result.kept_start, {} if result.kept_start else result.found
+    return result.kept_start, {} if result.kept_start else result.best

@@ -55,7 +55,7 @@ class Judgement(NamedTuple):
 class Evaluation(NamedTuple):
     """One evaluated point."""
 
-    at: tuple[float, ...]  # the free parameters
+    parameters: tuple[float, ...]  # the free parameters
     value: float  # objective over the training runs; infinite if the gains are refused or a run diverged
     slope: tuple[float, ...]  # gradient; empty without one
     seconds: float
@@ -73,7 +73,7 @@ class History:
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
         """Return value and slope at a point: from the earlier run if this was its next point, otherwise evaluated."""
         key, number = tuple(map(float, at)), len(self.points)
-        if number < len(self.before) and self.before[number].at == key:
+        if number < len(self.before) and self.before[number].parameters == key:
             point = self.before[number]
         else:
             self.before = self.before[:number]
@@ -95,7 +95,7 @@ class History:
         """Write the history; the objective is null if the gains were refused or a run diverged."""
         points, float64 = self.points, pa.float64()
         columns: TomlTable = {"point": np.arange(len(points))}
-        columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(self.names)}
+        columns |= {f"free.{name}": np.array([p.parameters[i] for p in points]) for i, name in enumerate(self.names)}
         columns["objective"] = pa.array([p.value if isfinite(p.value) else None for p in points], float64)
         for i, name in enumerate(self.names):
             slopes = [p.slope[i] if p.slope and isfinite(p.slope[i]) else None for p in points]
@@ -148,8 +148,8 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
 
 def finish(target: storage.Target, about: str, tuned: Any) -> None:
     """Write the result: a study that can be run, with the record of the tuning under [resolved.tuning]."""
-    record: TomlTable = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
-    record |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
+    record: TomlTable = {"about": about, "start": tuned.start, "found": tuned.best, "kept_start": tuned.kept_start}
+    record |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judgements]}
     record |= {"exact": True} if tuned.exact else {}
     record |= {} if tuned.certified is None else {"certified": tuned.certified}
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

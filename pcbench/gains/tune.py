@@ -46,9 +46,9 @@ class Tuning(NamedTuple):
 
     study: TomlTable  # the scenario and the observer with the chosen options: the content of tuned.toml
     start: TomlTable  # free parameters at the start
-    found: TomlTable  # free parameters at the least value
+    best: TomlTable  # free parameters at the least value
     kept_start: str  # why the start is chosen; empty: `found` is chosen
-    judged: list[Judgement]
+    judgements: list[Judgement]
     points: list[Evaluation]
     method: str
     objective: Objective
@@ -126,7 +126,7 @@ def tune(
         progress.begin("points", budget)
         progress.note("compiling")
         descend(optimizer_name, trials, start, evaluate, budget, where, progress)
-        tuned_options = parameters.written(free, np.array(trials.best.at))
+        tuned_options = parameters.written(free, np.array(trials.best.parameters))
         if exact_objective:
             judgements, kept_start = (
                 [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)],
@@ -136,13 +136,13 @@ def tune(
             progress.note("validation on other seeds")
             judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})
             kept_start = rejection_reason(judgements)
-        final_options = parameters.put(options, free, start if kept_start else np.array(trials.best.at))
+        final_options = parameters.put(options, free, start if kept_start else np.array(trials.best.parameters))
         tuned = Tuning(
             study=with_options(study, observer, {} if kept_start else tuned_options),
             start=parameters.written(free, start),
-            found=tuned_options,
+            best=tuned_options,
             kept_start=kept_start,
-            judged=judgements,
+            judgements=judgements,
             points=trials.points,
             method=optimizer_name,
             objective=aim,

@@ -142,25 +142,25 @@ class Axis(NamedTuple):
     """An axis of a scenario, of which one number varies."""
 
     name: str  # name in a study
-    at: int | None  # index of the channel or state that varies; None: all, or a single number
+    position: int | None  # index of the channel or state that varies; None: all, or a single number
     channel_values: tuple[float | str, ...]  # values of all channels; for the one that varies, that of the scenario
     values: tuple[float, ...]  # values of the study for the number that varies; if it has none, that of the scenario
 
     @property
     def label(self) -> str:
         """Return the axis' name for the user, such as `delay[0]`."""
-        return self.name if self.at is None else f"{self.name}[{self.at}]"
+        return self.name if self.position is None else f"{self.name}[{self.position}]"
 
     def to_study(self, value: float) -> float | list[float | str]:
         """Return a value in the form of a study's axis."""
-        if self.at is None:
+        if self.position is None:
             return value
-        return [value if i == self.at else v for i, v in enumerate(self.channel_values)]
+        return [value if i == self.position else v for i, v in enumerate(self.channel_values)]
 
     def number(self, value: Any) -> float:
         """Return the number that varies from a value of an axis, or of a column of the tables."""
-        one = self.at is None or isinstance(value, int | float)  # one number if all channels are equal
-        return float(value if one else value[self.at])
+        one = self.position is None or isinstance(value, int | float)  # one number if all channels are equal
+        return float(value if one else value[self.position])
 
 
 def axis_of(text: str, s: Scenario, study_values: list[object] | None, where: str) -> Axis:
@@ -200,7 +200,7 @@ def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
     """Return a scenario's value of an axis; zeros for process noise that it does not have."""
     if name.startswith("plant."):
         numbers, name = numbers_of(s), name.removeprefix("plant.")
-        return (getattr(numbers, "own", {}) | numbers._asdict() | dict(s.truth.parameters))[name]
+        return (getattr(numbers, "parameters", {}) | numbers._asdict() | dict(s.truth.parameters))[name]
     value = s.value(name)
     if name == "delay_self_transition":
         return value or chain(s.sampling)[:1] or (0.0,)

@@ -128,7 +128,7 @@ def happen(by: Batch, k: Array, event: Event, m: BatchState, noise: Array) -> Ba
         is_snapshot = rows == _place(packet, m)[None, None]
         mask = mask | (is_snapshot & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
     m = take_samples(by, k, m, mask)
-    m = _notify(by, k, event.sampled, m) if any(o.on_sample for _, o in by.layout.observers) else m
+    m = _notify(by, k, event.sampled_channels, m) if any(o.on_sample for _, o in by.layout.observers) else m
 
     def deliver(slot: Array, m: BatchState) -> BatchState:
         row = ArrivalInfo(event.mask, k - event.timestamp, event.number, event.ticks_since_arrival)

@@ -31,7 +31,7 @@ def lack_of_digits(cell: CellMoments, label: str) -> str:
     """Return a clause about the state that leaves an observer's moments too few digits; empty if none does."""
     if not np.size(cell.final_state):
         return ""
-    p, s, signals = cell.planned, cell.sums, cell.signals[label]
+    p, s, signals = cell.plan, cell.sums, cell.signals[label]
     size, deviation = np.asarray(cell.final_state).max(-1)
     n = min(len(size), signals.stop - signals.start)
     state = slice(signals.start, signals.start + n)
@@ -55,7 +55,7 @@ def lack_of_digits(cell: CellMoments, label: str) -> str:
 
 def _steady_square(cell: CellMoments, signals: slice) -> Float[np.ndarray, " n"]:
     """Return the least mean square error of signals after the transient, over initial states."""
-    times = cell.planned.cell.times
+    times = cell.plan.cell.times
     return np.asarray(cell.sums.square)[1, signals].min(-1) / (times.ticks - times.tail)
 
 
@@ -64,7 +64,7 @@ INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
 
 def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     """Return a sentence why an observer's moments are not exact at a grid point, and what to do; empty if they are."""
-    p, s = cell.planned, cell.sums
+    p, s = cell.plan, cell.sums
     signals, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if cell.refusal:

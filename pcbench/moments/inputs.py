@@ -33,7 +33,7 @@ class Event(NamedTuple):
 
     sense: Numbers  # [C] the packet taken; -1: none
     snapshot: Numbers  # [C]
-    sampled: Numbers  # [q, C] the channels that are sampled
+    sampled_channels: Numbers  # [q, C] the channels that are sampled
     arrive: Numbers  # [S, C]
     timestamp: Numbers  # [S, C] assumed sampling tick
     mask: Numbers  # [S, q, C]
@@ -45,7 +45,7 @@ class Event(NamedTuple):
 class Plan(NamedTuple):
     """Schedules of C grid points by event: a tick with an event of any of them, and tick 0."""
 
-    at: Numbers  # [E] ticks; after the last event, beyond N + 1
+    ticks: Numbers  # [E] ticks; after the last event, beyond N + 1
     events: Event
     early: Numbers  # [e, q, C] samples of packets taken before tick 0
 
@@ -98,7 +98,7 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
     return Event(
         sense=s.sense[at],
         snapshot=s.snapshot[at],
-        sampled=s.sample[at] >= 0,
+        sampled_channels=s.sample[at] >= 0,
         arrive=s.arrive[at],
         timestamp=s.timestamp[at],
         mask=s.mask[at],

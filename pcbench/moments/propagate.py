@@ -81,13 +81,13 @@ def run(layout: Layout, shape: Shape, inputs: MomentInputs) -> Outcome:
 
     def segment(at: tuple[Array, PropagationState]) -> tuple[Array, PropagationState]:
         number, c = at
-        k, event = plan.at[number], jax.tree.map(lambda a: a[number], plan.events)
+        k, event = plan.ticks[number], jax.tree.map(lambda a: a[number], plan.events)
         c = c._replace(state=happen(by, k, event, c.state, inputs.arrivals[k]))
-        until = jnp.minimum(plan.at[number + 1], stop)
+        until = jnp.minimum(plan.ticks[number + 1], stop)
         _, c = lax.while_loop(lambda at: at[0] < until, lambda at: (at[0] + 1, tick(by, *at)), (k, c))
         return number + 1, c
 
-    _, c = lax.while_loop(lambda at: plan.at[at[0]] < stop, segment, (jnp.asarray(0), first(by)))
+    _, c = lax.while_loop(lambda at: plan.ticks[at[0]] < stop, segment, (jnp.asarray(0), first(by)))
     size = jnp.max(jnp.abs(c.state.runs.x), 0)  # the state comes first in the vector
     variance = jnp.einsum("ddc->dc", c.state.P)[: len(size)] if shape.form.noisy[0] else jnp.zeros_like(size)
     final_state = jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])

@@ -54,12 +54,12 @@ class MomentRequest(NamedTuple):
 class CellMoments(NamedTuple):
     """The moments of one planned grid point; S realisations (1 if only the noise is random)."""
 
-    planned: Plan  # without its long tables
+    plan: Plan  # without its long tables
     random: bool  # runs have different schedules
     signals: dict[str, slice]  # by observer label, its slice of the Z signals
     sums: Sums  # arrays [..., S]
     rows: MomentRecord | tuple[()] = ()  # [..., S]
-    last: dict[str, FinalErrors] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
+    final_errors: dict[str, FinalErrors] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, distributions are not normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     final_state: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
@@ -71,7 +71,7 @@ class CellMoments(NamedTuple):
 class Work(NamedTuple):
     """A planned grid point, its realisations, and the calls that compute them."""
 
-    planned: Plan
+    plan: Plan
     ones: list[Realisation]  # empty if there are no exact moments
     random: bool
     trial: bool  # whether drawn schedules may still be needed after these
@@ -199,7 +199,7 @@ def _compute(ones: list[Realisation], request: MomentRequest, width: int | None 
 
 def _moments(work: Work, request: MomentRequest, unlike: set[Hashable]) -> CellMoments:
     """Return the moments of a grid point, on all drawn schedules if a trial gave no answer."""
-    p = work.planned
+    p = work.plan
     if not work.ones:
         return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
     outcomes = [jax.tree.map(lambda a, at=at: a[..., at : at + 1], future.result()) for future, at in work.calls]
@@ -230,7 +230,7 @@ def nan_sums(signals: int, deviation: float) -> Sums:
 
 def _gather(work: Work, outcomes: list[Outcome]) -> CellMoments:
     """Return the moments of one grid point from its realisations."""
-    p, modes = work.planned, [one.mode for one in work.ones if one.mode]
+    p, modes = work.plan, [one.mode for one in work.ones if one.mode]
     outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *outcomes) if len(outcomes) > 1 else outcomes[0]
     shares = np.array([mode.share for mode in modes]) if modes else None
     labels = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
@@ -246,12 +246,12 @@ def _gather(work: Work, outcomes: list[Outcome]) -> CellMoments:
             last[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
     total = outcome if shares is None else _over_modes(outcome, shares)
     return CellMoments(
-        planned=p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={})),
+        plan=p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={})),
         random=work.random,
         signals=signals,
         sums=total.sums,
         rows=total.rows,
-        last=last,
+        final_errors=last,
         mixture=shares is not None or any(one.chance < 1 for one in work.ones),
         final_state=outcome.final_state,
         shares=shares,

@@ -60,7 +60,7 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
     """
     signals, estimates = cell.signals[label], _estimates(cell, label, bound)
     n_signals = signals.stop - signals.start
-    normal = not cell.planned.layout.scattered and not cell.mixture
+    normal = not cell.plan.layout.scattered and not cell.mixture
     values, n = np.full((len(NUMBERS), n_signals, len(ORDER)), np.nan), np.zeros(len(ORDER), int)
     for j, name in enumerate(ORDER):
         if (e := estimates.get(name)) is not None:
@@ -68,7 +68,7 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
     reasons, methods, has_row = _reasons(why, normal)
     blank = methods == "none"
     mask = has_row | ~np.isnan(values[0])
-    if not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
+    if not (cell.plan.problem.jumps < cell.plan.cell.times.ticks).any():
         mask[:, ORDER.index("recovery_time")] = False
     signal, metric = np.nonzero(mask)
     spread = np.full((len(COLUMNS), len(signal)), np.nan)
@@ -100,22 +100,22 @@ def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.ob
 def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
     """Return every exact metric of the signals."""
     signals, s = cell.signals[label], cell.sums
-    n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
+    n, tail = cell.plan.cell.times.ticks, cell.plan.cell.times.tail
     out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[signals], True)}
     for i, (prefix, count) in enumerate((("", n), ("steady_", n - tail))):
         squares = _over(cell, s.square[i, signals] / count)
         pooled_rmse = root(squares)
         out |= {prefix + "mae": _over(cell, s.absolute[i, signals] / count), prefix + "mse": squares}
         out |= {prefix + "pooled_rmse": pooled_rmse}
-        if cell.planned.layout.controller:
+        if cell.plan.layout.controller:
             out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
             out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
-            if np.size(cell.planned.problem.weights.Q1 if cell.planned.problem.weights else ()):
+            if np.size(cell.plan.problem.weights.Q1 if cell.plan.problem.weights else ()):
                 out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
             out["rms_efficiency"] = rms_efficiency(bound[: len(pooled_rmse.mean)], pooled_rmse)
-    if label in cell.last:
-        b = cell.last[label]
+    if label in cell.final_errors:
+        b = cell.final_errors[label]
         for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(b), strict=True):
             out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
         out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, nees.inside(b), strict=True)}

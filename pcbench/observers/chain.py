@@ -45,7 +45,7 @@ class Links(NamedTuple):
 
     stamp: Int[Leaf, "..."]  # samples ago
     source: Int[Leaf, "..."]
-    seen: Float[Leaf, "... q"]  # 1 for a channel whose sample of the source has arrived, else 0
+    has_arrived: Float[Leaf, "... q"]  # 1 for a channel whose sample of the source has arrived, else 0
     F: Float[Leaf, "... n n"]
     K: Float[Leaf, "... n q"]
     V: Float[Leaf, "... q q"]
@@ -66,8 +66,8 @@ class Memory(NamedTuple):
 
     run: ModelRun
     past: Float[Array, "ring n"]  # the links' estimates, by sample number
-    arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of each channel, by sample number
-    known: tuple[Bool[Array, " ring"], ...]  # [q] whether it has arrived, by sample number
+    residuals: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of each channel, by sample number
+    has_arrived: tuple[Bool[Array, " ring"], ...]  # [q] whether it has arrived, by sample number
     value: Float[Array, " q"]  # y - D u - C xbar of the samples that have arrived since the last sampling tick
     mask: Bool[Array, " q"]
 
@@ -119,7 +119,7 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
         z = read(memory.past, k - this.source)
         expected = C @ z
         y = jnp.stack([_sample(gains, memory, j, this.source, expected[j]) for j in channels])
-        ybar = jnp.where(this.seen > 0, y, before[1])
+        ybar = jnp.where(this.has_arrived > 0, y, before[1])
         estimate = jnp.where(nonempty, this.F @ z + this.K @ ybar, before[0])
         yhat = jnp.where(nonempty, this.W @ z + this.V @ ybar, before[1])
         return (estimate, yhat), estimate
@@ -130,8 +130,8 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
     sample, is_newest = memory.run.sample - age, age == gains.tau[j]
-    has_arrived = jnp.where(is_newest, memory.mask[j], read(memory.known[j], sample)) & (sample >= 0)
-    return jnp.where(has_arrived, jnp.where(is_newest, memory.value[j], read(memory.arrived[j], sample)), expected)
+    has_arrived = jnp.where(is_newest, memory.mask[j], read(memory.has_arrived[j], sample)) & (sample >= 0)
+    return jnp.where(has_arrived, jnp.where(is_newest, memory.value[j], read(memory.residuals[j], sample)), expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -141,12 +141,12 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
         past = write(past, k - stamp[i], estimate, due & (source[i] > stamp[i]))
-    channels = range(len(memory.arrived))
+    channels = range(len(memory.residuals))
     return Memory(
         run,
         past,
-        tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in channels),
-        tuple(write(memory.known[j], k - gains.tau[j], memory.mask[j], due) for j in channels),
+        tuple(write(memory.residuals[j], k - gains.tau[j], memory.value[j], due) for j in channels),
+        tuple(write(memory.has_arrived[j], k - gains.tau[j], memory.mask[j], due) for j in channels),
         memory.value,
         memory.mask & ~due,
     )
@@ -154,7 +154,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     """Return the last link's estimate, propagated to the present."""
-    return memory.run.xbar + memory.run.carried @ links(gains, memory)[-1]
+    return memory.run.xbar + memory.run.transition @ links(gains, memory)[-1]
 
 
 OBSERVER = Observer(init, snapshot, jump, flow, estimate)
@@ -177,7 +177,9 @@ def design(context: DesignContext, options: Options) -> Design:
         extra = chain.check(link_list, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = link_list[::-1], np.array(chain.ages(plant.tau)[::-1])
-    matrices = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
+    matrices = {
+        name: np.stack([getattr(link, name) for link in latest_first]) for name in ("has_arrived", "F", "K", "V", "W")
+    }
     links = Links(stamp=theta[1:], source=theta[:-1], **matrices)
     room = np.zeros(max(context.reach, *plant.tau))
     return Design(Gains(sample_rate.model_of(context), np.array(plant.tau), links, room), certificate)

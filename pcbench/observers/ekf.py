@@ -73,10 +73,10 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
-    z, P = predict_joint(gains, now, before, sample.taken)
+    z, P = predict_joint(gains, now, before, sample.tick)
     if gains.sensor is not None:
-        z, P, rejections = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample)
-        return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
+        z, P, rejections = by_slope(gains, at(now, sample.tick), before._replace(mean=z, P=P), sample)
+        return robust_update.after(before, clip_parameters(gains, z), P, sample.tick, rejections)
     value, rejections, R = value_of(gains, sample.value), [], sample.variances(gains.R)
     n, zeros = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
@@ -88,7 +88,7 @@ def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) ->
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, zeros]), r)
         rejections.append(out)
-    return robust_update.after(before, clip_parameters(gains, z), P, sample.taken, rejections)
+    return robust_update.after(before, clip_parameters(gains, z), P, sample.tick, rejections)
 
 
 def by_slope(
@@ -118,7 +118,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         lambda state, sample: update(gains, now, state, sample), memory.buffer, sample
     )
     z = lax.fori_loop(
-        newest.taken, now.tick, lambda k, z: clip_parameters(gains, gains.motion(at(now, k), z)), newest.mean
+        newest.tick, now.tick, lambda k, z: clip_parameters(gains, gains.motion(at(now, k), z)), newest.mean
     )
     return Memory(buffer, z)
 
@@ -147,20 +147,20 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     """Return the innovation statistics of a sample, predicted from all samples that arrived before, newer ones included."""
     buffer, sample = memory.buffer, reorder_buffer.sample_of(now, arrival, gains.D)
     first, N = buffer.before, gains.P0.shape[0]
-    mask, marker = sample.mask & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
+    mask, marker = sample.mask & (sample.tick >= first.tick), jnp.maximum(sample.tick, first.tick)
 
     def copy(state: AnyPosterior, sample: Measurement) -> AnyPosterior:
-        z, P = predict_joint(gains, now, state, sample.taken)
-        return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), taken=sample.taken)
+        z, P = predict_joint(gains, now, state, sample.tick)
+        return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), tick=sample.tick)
 
-    if buffer.samples.taken.shape[0]:
+    if buffer.samples.tick.shape[0]:
         use = partial(update, gains, now)
         start = buffer._replace(before=first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N)))
-        state = reorder_buffer.newest_with_copy(use, copy, start, sample._replace(taken=marker))
+        state = reorder_buffer.newest_with_copy(use, copy, start, sample._replace(tick=marker))
         z, P = state.mean[N:], state.P[N:, N:]
     else:
-        z, P = predict_joint(gains, now, first, sample.taken)
-    (y, C), prior = linearize_output(gains, at(now, sample.taken), z), z
+        z, P = predict_joint(gains, now, first, sample.tick)
+    (y, C), prior = linearize_output(gains, at(now, sample.tick), z), z
     value, total, R = nearest(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
         c, r = C[channel], R[channel]

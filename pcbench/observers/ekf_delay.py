@@ -45,7 +45,7 @@ class Memory(NamedTuple):
 
     z: Float[Array, " n+1"]
     P: Float[Array, "n+1 n+1"]
-    at: Int[Array, ""]  # tick
+    tick: Int[Array, ""]  # tick
     xhat: Float[Array, " n"]
 
 
@@ -70,7 +70,7 @@ def joint(gains: Gains) -> tuple[Array, Array, Array]:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])
-    return extend(gains.Phi, 1.0), Gamma, extend(gains.Q, gains.own)
+    return extend(gains.Phi, 1.0), Gamma, extend(gains.Q, gains.extra)
 
 
 class SamplePrediction(NamedTuple):
@@ -99,7 +99,7 @@ def predict_sample(gains: Gains, now: Now, x: Array, base: Array, first: Array) 
 def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Predict to the base tick, update there by a sample taken between ticks, and predict to the present."""
     base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
-    z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.at, base)
+    z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.tick, base)
     place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
     first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
     part, prior = place - first, predict_sample(gains, now, z[:n], base, first)
@@ -136,12 +136,12 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     def present(z: Array, P: Array, at: Array) -> Array:
         return spread(gains, predict_linear(*joint(gains), now, z, P, at, now.tick)[1])
 
-    return vmap_as_unit(present)(memory.z, memory.P, memory.at)
+    return vmap_as_unit(present)(memory.z, memory.P, memory.tick)
 
 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
     """Return mean and standard deviation of the delay [s]; the mean is constant between samples."""
-    walk_variance = gains.own * (now.tick - memory.at)
+    walk_variance = gains.extra * (now.tick - memory.tick)
     return jnp.stack([memory.z[-1], jnp.sqrt(memory.P[-1, -1] + walk_variance)])
 
 
@@ -152,4 +152,4 @@ def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; with the delay as a state the filter is nonlinear, so it has no certificate."""
     gains = unknown_delay.design(context, options, "ekf-delay")
     walk = np.asarray(options.delay_walk * context.dt)
-    return Design(gains._replace(own=walk), no_certificate("the delay is a state, so the filter is nonlinear"))
+    return Design(gains._replace(extra=walk), no_certificate("the delay is a state, so the filter is nonlinear"))

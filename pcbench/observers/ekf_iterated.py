@@ -44,9 +44,9 @@ def update_about(
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
-    """Update by a sample of the state's tick, with as many iterations as `own` has entries."""
+    """Update by a sample of the state's tick, with as many iterations as `extra` has entries."""
     z, P = state.mean, state.P
-    for _ in range(gains.own.shape[0]):
+    for _ in range(gains.extra.shape[0]):
         z, P, _ = update_about(gains, now, state, sample, z)
     return state._replace(mean=clip_parameters(gains, z), P=P)
 

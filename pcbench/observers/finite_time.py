@@ -56,9 +56,9 @@ class Pair(NamedTuple):
 
     z: Float[Array, "n 2"]
     free: Float[Array, " n"]  # xhat without the response to the input
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
     past: Float[Array, "N n 2"]
-    used: Int[Array, ""]  # number of samples used
+    n_used: Int[Array, ""]  # number of samples used
 
 
 class Options(StrictOptions):
@@ -81,18 +81,18 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def correct(gains: Gains, before: Pair, sample: Measurement) -> Pair:
     """Correct both estimators at the sampling time, and combine them."""
-    z = after(gains.motion.powers, sample.taken - before.taken, before.z)
+    z = after(gains.motion.powers, sample.tick - before.tick, before.z)
     innovation = (sample.value - gains.C @ sample.snapshot)[:, None] - gains.C @ z
     innovation = jnp.where(sample.mask[:, None], innovation, 0.0)
     z = z + jnp.stack([gains.L[i] @ innovation[:, i] for i in range(2)], axis=1)
     oldest = before.past[-1]
     combination = gains.K[0] @ z[:, 0] + gains.K[1] @ z[:, 1] - gains.H @ (oldest[:, 0] - oldest[:, 1])
-    free = jnp.where(before.used >= before.past.shape[0], combination, z[:, 0])
+    free = jnp.where(before.n_used >= before.past.shape[0], combination, z[:, 0])
     past = jnp.concatenate([z[None], before.past[:-1]])
-    return select_memory(sample.mask, Pair(z, free, sample.taken, past, before.used + 1), before)
+    return select_memory(sample.mask, Pair(z, free, sample.tick, past, before.n_used + 1), before)
 
 
-jump = prediction.make_jump(correct, lambda pair: Point(pair.free, pair.taken))
+jump = prediction.make_jump(correct, lambda pair: Point(pair.free, pair.tick))
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat)
 
 

@@ -74,7 +74,7 @@ class Ball(NamedTuple):
     """Estimate just after a sample was used, without the response to the input, and the generators of its error."""
 
     free: Float[Array, " n"]
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
     B: Float[Array, "n k"]  # k = n + q
 
 
@@ -107,18 +107,18 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return r at a tick at or after the sample."""
-    s = tick - ball.taken
+    s = tick - ball.tick
     spread = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
     return spread + jnp.take(gains.noise, s, axis=0, mode="clip")
 
 
 def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
     """Correct at the sampling time."""
-    free = prediction.at(gains.motion, Point(before.free, before.taken), sample.taken)
+    free = prediction.at(gains.motion, Point(before.free, before.tick), sample.tick)
     L = jnp.where(sample.mask[None], gains.L, 0.0)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
-    columns = (gains.V - L @ (gains.C @ gains.V)) * radius(gains, before, sample.taken)[None]
-    return Ball(free + L @ innovation, sample.taken, jnp.concatenate([columns, L * gains.vmax[None]], axis=1))
+    columns = (gains.V - L @ (gains.C @ gains.V)) * radius(gains, before, sample.tick)[None]
+    return Ball(free + L @ innovation, sample.tick, jnp.concatenate([columns, L * gains.vmax[None]], axis=1))
 
 
 def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -129,7 +129,7 @@ def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Arra
     return memory.xhat - half, memory.xhat + half
 
 
-jump = prediction.make_jump(correct, lambda ball: Point(ball.free, ball.taken))
+jump = prediction.make_jump(correct, lambda ball: Point(ball.free, ball.tick))
 OBSERVER = Observer(init, prediction.snapshot, jump, prediction.flow, xhat, bounds=bounds)
 
 

@@ -42,42 +42,44 @@ class Memory(NamedTuple):
     xhat: Float[Array, " n"]
     P: Float[Array, "n n"]
     then: Float[Array, "J n"]  # xhat when the sample was taken
-    K: Float[Array, "J n q"]  # M K: gain of its innovation at tick `at`
-    at: Int[Array, ""]  # the tick of P and K
-    taken: Int[Array, " J"]  # ticks; -1: none
-    made: Int[Array, ""]  # number of samples taken so far
+    K: Float[Array, "J n q"]  # M K: gain of its innovation at tick `covariance_tick`
+    covariance_tick: Int[Array, ""]  # the tick of P and K
+    sampling_ticks: Int[Array, " J"]  # ticks; -1: none
+    n_samples: Int[Array, ""]  # number of samples taken so far
     tick: Int[Array, ""]
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with no sample in transit."""
-    first, J, zero = linear_filter.prior(gains, xhat0), gains.own.shape[0], jnp.asarray(0)
+    first, J, zero = linear_filter.prior(gains, xhat0), gains.extra.shape[0], jnp.asarray(0)
     n, q = first.mean.shape[0], gains.C.shape[0]
     return Memory(
         xhat=first.mean,
         P=first.P,
         then=jnp.zeros((J, n)),
         K=jnp.zeros((J, n, q)),
-        at=zero,
-        taken=jnp.full(J, -1),
-        made=zero,
+        covariance_tick=zero,
+        sampling_ticks=jnp.full(J, -1),
+        n_samples=zero,
         tick=zero,
     )
 
 
 def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with covariance and gains propagated to the present."""
-    age, powers = now.tick - memory.at, gains.motion.powers
+    age, powers = now.tick - memory.covariance_tick, gains.motion.powers
     J, n, q = memory.K.shape
     columns = jnp.moveaxis(memory.K, 1, 0).reshape(n, J * q)
     K = jnp.moveaxis(after(powers, age, columns).reshape(n, J, q), 0, 1)
-    return memory._replace(P=covariance_after(powers, gains.noise, age, memory.P), K=K, at=now.tick)
+    return memory._replace(P=covariance_after(powers, gains.noise, age, memory.P), K=K, covariance_tick=now.tick)
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Update the covariance for the sample that is taken now, and store its gain until it arrives."""
     memory = predict_memory(gains, memory, now)
-    slot = (jnp.arange(memory.taken.shape[0]) == memory.made % memory.taken.shape[0]) & jnp.any(mask)
+    slot = (jnp.arange(memory.sampling_ticks.shape[0]) == memory.n_samples % memory.sampling_ticks.shape[0]) & jnp.any(
+        mask
+    )
     P, L = memory.P, jnp.where(slot[:, None, None], 0.0, memory.K)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
@@ -90,15 +92,15 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
         P=P,
         K=L,
         then=jnp.where(slot[:, None], memory.xhat, memory.then),
-        taken=jnp.where(slot, now.tick, memory.taken),
-        made=memory.made + jnp.any(mask),
+        sampling_ticks=jnp.where(slot, now.tick, memory.sampling_ticks),
+        n_samples=memory.n_samples + jnp.any(mask),
     )
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add the delayed innovations, multiplied by their propagated gains."""
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
-    slot = (memory.taken == sample.taken).astype(float)
+    slot = (memory.sampling_ticks == sample.tick).astype(float)
     expected = gains.C @ (slot @ memory.then)
     e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
     K = jnp.einsum("j,jnq->nq", slot, memory.K)
@@ -107,7 +109,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance as if all samples taken had arrived."""
-    P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P)
+    P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.covariance_tick, memory.P)
     return linear_filter.spread(gains, memory, P)
 
 
@@ -128,4 +130,4 @@ def design(context: DesignContext, options: Options) -> Design:
         stochastic_cloning.room(context, "kf-alexander"),
         "its covariance includes measurements that have not arrived",
     )
-    return linear_filter.design(context, options, "kf-alexander", own=room, reason=reason)
+    return linear_filter.design(context, options, "kf-alexander", extra=room, reason=reason)

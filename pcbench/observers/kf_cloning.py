@@ -21,4 +21,4 @@ OBSERVER = stochastic_cloning.observer(lambda h, s, pair_mask: h / s)._replace(i
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the copies."""
-    return linear_filter.design(context, options, "kf-cloning", own=stochastic_cloning.room(context, "kf-cloning"))
+    return linear_filter.design(context, options, "kf-cloning", extra=stochastic_cloning.room(context, "kf-cloning"))

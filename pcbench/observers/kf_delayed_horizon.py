@@ -36,7 +36,7 @@ class HorizonParams(NamedTuple):
     """Parameters in addition to those of the Kalman filter."""
 
     lag: Int[Leaf, ""]  # ticks
-    waiting: Room  # for samples that are younger than the lag
+    room: Room  # for samples that are younger than the lag
 
 
 class Memory(NamedTuple):
@@ -45,7 +45,7 @@ class Memory(NamedTuple):
     g: Float[Array, " n"]
     xhat: Float[Array, " n"]
     posterior: Posterior  # at the newest sample used
-    waiting: Measurement  # unordered; `mask` is False in an empty place
+    buffer: Measurement  # unordered; `mask` is False in an empty place
     tick: Int[Array, ""]
 
 
@@ -62,22 +62,22 @@ class Options(linear_filter.Options):
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with an empty buffer."""
     first = linear_filter.prior(gains, xhat0)
-    samples = reorder_buffer.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
+    samples = reorder_buffer.start((), gains.extra.room, gains.C.shape[0], first.mean.shape[0]).samples
     return Memory(jnp.zeros_like(first.mean), first.mean, first, samples, jnp.asarray(0))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Buffer samples younger than the lag, use samples of that age, and drop older ones."""
     sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
-    due = now.tick - gains.own.lag
-    place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
+    due = now.tick - gains.extra.lag
+    place = jnp.arange(memory.buffer.tick.shape[0]) == jnp.argmin(memory.buffer.tick)
 
     def store(room: Array, entry: Array) -> Array:
         return jnp.where(jnp.reshape(place, (-1, *[1] * entry.ndim)), entry[None], room)
 
-    with_sample = memory._replace(waiting=jax.tree.map(store, memory.waiting, sample))
-    later_use = select_memory(sample.mask & (sample.taken > due), with_sample, memory)
-    return select_memory(sample.mask & (sample.taken == due), _apply_sample(gains, memory, now.tick, sample), later_use)
+    with_sample = memory._replace(buffer=jax.tree.map(store, memory.buffer, sample))
+    later_use = select_memory(sample.mask & (sample.tick > due), with_sample, memory)
+    return select_memory(sample.mask & (sample.tick == due), _apply_sample(gains, memory, now.tick, sample), later_use)
 
 
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
@@ -90,8 +90,8 @@ def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick, and use the samples whose age is then the lag; channels sampled together form one update."""
     memory = prediction.flow(gains, memory, now)
-    samples, due = memory.waiting, memory.tick - gains.own.lag
-    is_due = samples.mask & (samples.taken == due)[:, None]
+    samples, due = memory.buffer, memory.tick - gains.extra.lag
+    is_due = samples.mask & (samples.tick == due)[:, None]
     sample = Measurement(
         due, jnp.sum(jnp.where(is_due, samples.value, 0.0), 0), jnp.any(is_due, 0),
         jnp.max(jnp.where(jnp.any(is_due, 1)[:, None], samples.snapshot, -jnp.inf), 0),

@@ -28,13 +28,13 @@ class Options(linear_filter.Options):
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use samples whose age is at most the limit [ticks]."""
-    mask = arrival.mask & (arrival.age <= gains.own)
+    mask = arrival.mask & (arrival.age <= gains.extra)
     return select_memory(mask, linear_filter.jump(gains, memory, now, arrival._replace(mask=mask)), memory)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return the innovation statistics of the samples that are used."""
-    young = arrival._replace(mask=arrival.mask & (arrival.age <= gains.own))
+    young = arrival._replace(mask=arrival.mask & (arrival.age <= gains.extra))
     return linear_filter.innovation(gains, memory, now, young)
 
 
@@ -46,5 +46,5 @@ def design(context: DesignContext, options: Options) -> Design:
     limit = min(context.period) if options.max_age is None else round(options.max_age / context.dt)
     reason = "" if limit >= max(context.delay) else "it drops delayed samples"
     return linear_filter.design(
-        context, options, "kf-drop-delayed", own=np.asarray(limit), reason=reason, restarts=False
+        context, options, "kf-drop-delayed", extra=np.asarray(limit), reason=reason, restarts=False
     )

@@ -33,7 +33,7 @@ class Memory(NamedTuple):
     """Memory of the Kalman filter, and the last value received; q outputs."""
 
     kf: prediction.Memory
-    received: Float[PyTree, " q"]  # NaN: none yet
+    last_values: Float[PyTree, " q"]  # NaN: none yet
 
 
 class Options(linear_filter.Options):
@@ -54,11 +54,11 @@ def init(gains: Gains, xhat0: Float[PyTree, " n"]) -> Memory:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use the arriving samples, and the last value received of silent outputs."""
     ratio = jnp.ones_like(arrival.value)
-    last_value = jnp.where(arrival.mask, arrival.value, memory.received)
+    last_value = jnp.where(arrival.mask, arrival.value, memory.last_values)
     if arrival.silent is not None:
-        silent = arrival.silent & ~jnp.isnan(memory.received) & (gains.own > 0)
-        ratio = jnp.where(silent, 1 + gains.own**2 / (3 * gains.R), ratio)
-        value = jnp.where(silent, memory.received, arrival.value)
+        silent = arrival.silent & ~jnp.isnan(memory.last_values) & (gains.extra > 0)
+        ratio = jnp.where(silent, 1 + gains.extra**2 / (3 * gains.R), ratio)
+        value = jnp.where(silent, memory.last_values, arrival.value)
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
     after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
     has_sample = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
@@ -99,4 +99,6 @@ def design(context: DesignContext, options: Options) -> Design:
         )
     if context.noise_correlation and d.any():
         raise UserError(f"{where}: got correlated measurement noise, expected independent outputs; use kf.")
-    return linear_filter.design(context, options, "kf-event", own=d, reason="the error during silence is not Gaussian")
+    return linear_filter.design(
+        context, options, "kf-event", extra=d, reason="the error during silence is not Gaussian"
+    )

@@ -38,4 +38,4 @@ def design(context: DesignContext, options: Options) -> Design:
         stochastic_cloning.room(context, "kf-larsen"),
         "its innovation ignores measurements that arrive in between",
     )
-    return linear_filter.design(context, options, "kf-larsen", own=room, reason=reason)
+    return linear_filter.design(context, options, "kf-larsen", extra=room, reason=reason)

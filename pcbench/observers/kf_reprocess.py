@@ -30,7 +30,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use a sample unless it is older than the state before the stored samples."""
     sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
     updated_memory = linear_filter.use(gains, memory, now, sample)
-    return select_memory(sample.mask & (sample.taken >= memory.buffer.before.taken), updated_memory, memory)
+    return select_memory(sample.mask & (sample.tick >= memory.buffer.before.tick), updated_memory, memory)
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump)

@@ -27,7 +27,7 @@ Options = linear_filter.Options
 
 def shift_to_now(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
     """Return the arrival as a sample taken now, with the snapshot of its sampling time."""
-    return reorder_buffer.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
+    return reorder_buffer.sample_of(now, arrival, gains.D)._replace(tick=now.tick)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:

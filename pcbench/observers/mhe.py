@@ -58,7 +58,7 @@ class Window(NamedTuple):
 
     mean: Float[Array, " N"]  # of the newest sample, propagated to tick `taken`
     P: Float[Array, "N N"]
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
     samples: Measurement  # [M]
     path: Float[Array, "M N"]  # z_1 .. z_M, from the last solution
     means: Float[Array, "M N"]  # estimate at each sample when it was the newest
@@ -86,14 +86,14 @@ class Options(nonlinear_model.Options):
 
 def first(gains: Gains, xhat0: Array) -> Window:
     """Return an empty window at the prior."""
-    z, M = initial_augmented(gains, xhat0), gains.own.window.shape[0]
+    z, M = initial_augmented(gains, xhat0), gains.extra.window.shape[0]
     empty_samples = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
     return Window(
         mean=z,
         P=gains.P0,
-        taken=zero,
-        samples=empty_samples._replace(taken=jnp.zeros(M, int)),
+        tick=zero,
+        samples=empty_samples._replace(tick=jnp.zeros(M, int)),
         path=row,
         means=row,
         spreads=rows,
@@ -118,11 +118,11 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
     """Return the chain linearised along a path of states."""
     N, q = path.shape[1], gains.C.shape[0]
-    since = jnp.append(w.since, w.samples.taken[:-1])
+    since = jnp.append(w.since, w.samples.tick[:-1])
 
     def linearize_stage(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
-        f, F, Q = stage(gains, now, z, begin, sample.taken)
-        y, H = linearize_output(gains, at(now, sample.taken), next_)
+        f, F, Q = stage(gains, now, z, begin, sample.tick)
+        y, H = linearize_output(gains, at(now, sample.tick), next_)
         value = nearest(gains, sample.value, y) - y + H @ next_
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
@@ -143,15 +143,15 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
         spreads=shift(state.spreads, P),
         before=state.means[0],
         known=state.spreads[0],
-        since=state.samples.taken[0],
+        since=state.samples.tick[0],
     )
     path = jnp.concatenate([state.path, clip_parameters(gains, z)[None]])
 
     def gauss_newton_step(_: Array, path: Array) -> Array:
-        chain, bounds = linearize_path(gains, now, w, path), gains.own.bounds
+        chain, bounds = linearize_path(gains, now, w, path), gains.extra.bounds
         return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
-    path = lax.fori_loop(0, gains.own.iterations.shape[0], gauss_newton_step, path)
+    path = lax.fori_loop(0, gains.extra.iterations.shape[0], gauss_newton_step, path)
     return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shift(state.means, path[-1]))
 
 

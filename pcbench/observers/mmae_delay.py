@@ -43,7 +43,7 @@ class Filters(NamedTuple):
 
     x: Float[Array, "M n"]
     P: Float[Array, "M n n"]
-    at: Int[Array, " M"]  # tick
+    tick: Int[Array, " M"]  # tick
     weight: Float[Array, " M"]  # logarithm
 
 
@@ -65,13 +65,13 @@ class Options(unknown_delay.Options):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory with every filter at the prior, weighted by the prior density of its delay."""
-    n_models = gains.own.shape[0]
-    deviation = (gains.own * gains.dt - gains.delay) / gains.delay_std
+    n_models = gains.extra.shape[0]
+    deviation = (gains.extra * gains.dt - gains.delay) / gains.delay_std
     weight = jax.nn.log_softmax(-0.5 * jnp.square(deviation))
     first = Filters(
         x=jnp.broadcast_to(xhat0, (n_models, *xhat0.shape)),
         P=jnp.broadcast_to(gains.P0, (n_models, *gains.P0.shape)),
-        at=jnp.zeros(n_models, int),
+        tick=jnp.zeros(n_models, int),
         weight=weight,
     )
     return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
@@ -111,8 +111,8 @@ def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
     """Update every filter at its assumed sampling tick, and its weight by the likelihood of the sample."""
     arrival_tick = sample.snapshot[0].astype(int)
-    ticks = jnp.maximum(jnp.minimum(sample.taken - gains.own, arrival_tick), before.at)  # 0 at the start
-    x, P = predict_models(gains, now, before.x, before.P, before.at, ticks)
+    ticks = jnp.maximum(jnp.minimum(sample.tick - gains.extra, arrival_tick), before.tick)  # 0 at the start
+    x, P = predict_models(gains, now, before.x, before.P, before.tick, ticks)
     x, P, likelihood = jax.vmap(partial(update_model, gains, sample))(x, P)
     return Filters(x, P, ticks, jax.nn.log_softmax(before.weight + likelihood))
 
@@ -137,7 +137,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def mean(gains: Gains, weight: Float[Array, " M"]) -> Float[Array, ""]:
     """Return the posterior mean of the delay [s]."""
-    return jnp.sum(jnp.exp(weight) * gains.own * gains.dt)
+    return jnp.sum(jnp.exp(weight) * gains.extra * gains.dt)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
@@ -152,7 +152,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
         at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
         x, P = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
         share, n = jnp.exp(at.weight), gains.C.shape[1]
-        z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
+        z = jnp.concatenate([x, (gains.dt * gains.extra)[:, None]], 1)
         deviation = z - (share @ z)[None]
         joint = (share[:, None] * deviation).T @ deviation
         return spread(gains, joint.at[:n, :n].add(jnp.tensordot(share, P, 1)))
@@ -163,7 +163,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 def delay(gains: Gains, memory: Memory, now: Now) -> Float[Array, "2"]:
     """Return mean and standard deviation of the delay [s] by the weights of the filters."""
     weight = jnp.exp(reorder_buffer.newest(partial(step, gains, now), memory.buffer).weight)
-    deviation = gains.own * gains.dt - memory.delay
+    deviation = gains.extra * gains.dt - memory.delay
     return jnp.stack([memory.delay, jnp.sqrt(jnp.sum(weight * jnp.square(deviation)))])
 
 
@@ -187,4 +187,4 @@ def design(context: DesignContext, options: Options) -> Design:
         raise UserError(
             f"{where}: delays: got {len(ticks)} filters, expected at most {MAX_DELAYS}; write fewer delays."
         )
-    return Design(gains._replace(own=ticks), no_certificate("the weights are not linear in the measurements"))
+    return Design(gains._replace(extra=ticks), no_certificate("the weights are not linear in the measurements"))

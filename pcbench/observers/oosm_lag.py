@@ -34,10 +34,10 @@ class Options(linear_filter.Options):
 
 def equivalent(gains: Gains, memory: Memory, tick: Array) -> Last:
     """Return one update that is equivalent to all updates after `tick`."""
-    is_earlier = memory.past.taken <= tick
+    is_earlier = memory.past.ticks <= tick
     newest = is_earlier & (jnp.cumsum(is_earlier[::-1])[::-1] == 1)  # the last one: several may have the same tick
     before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
-    prior = linear_filter.predict_posterior(gains, before, memory.posterior.taken)
+    prior = linear_filter.predict_posterior(gains, before, memory.posterior.tick)
     x, P, _ = memory.posterior
     inverse = jnp.linalg.inv(prior.P)
     return Last(prior.P, inverse @ (x - prior.mean), inverse @ (prior.P - P) @ inverse)

@@ -53,7 +53,7 @@ class Cloud(NamedTuple):
     x: Float[Array, "S N"]
     weight: Float[Array, " S"]  # logarithms; their exponentials sum to 1
     words: UInt32[Array, "2"]  # random words of the run, from which it draws
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
 
 
 class Options(nonlinear_model.Options):
@@ -67,8 +67,8 @@ class Options(nonlinear_model.Options):
 
 def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"]) -> Cloud:
     """Return the particles of a run at tick 0."""
-    S, zero = gains.own.room.shape[0], jnp.asarray(0)
-    x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.own.start.T
+    S, zero = gains.extra.room.shape[0], jnp.asarray(0)
+    x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.extra.start.T
     x = jax.vmap(lambda z_i: clip_parameters(gains, z_i))(x)
     return Cloud(x, jnp.full(S, -jnp.log(float(S))), words, zero)
 
@@ -92,7 +92,7 @@ def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
     """Propagate every particle by one tick with process noise; a particle that overflows stays, with weight 0."""
     x = jax.vmap(lambda z: gains.motion(now, z))(state.x)
-    x = x + normals(state.words, PROCESS, now.tick, x.shape) @ gains.own.process.T
+    x = x + normals(state.words, PROCESS, now.tick, x.shape) @ gains.extra.process.T
     x = jax.vmap(lambda z: clip_parameters(gains, z))(x)
     finite = jnp.all(jnp.isfinite(x), axis=1)
     log_weight = jnp.where(finite, state.weight, -jnp.inf)
@@ -117,8 +117,8 @@ def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], square, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     share, S = jnp.exp(weight), weight.shape[0]
-    is_degenerate = 1.0 / jnp.sum(share * share) < gains.own.share * S
-    U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.taken, ())
+    is_degenerate = 1.0 / jnp.sum(share * share) < gains.extra.share * S
+    U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.tick, ())
     parents = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
     x = jnp.where(is_degenerate, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)
     return state._replace(x=x, weight=jnp.where(is_degenerate, -jnp.log(float(S)), weight))

@@ -79,10 +79,10 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     """Correct at the sampling time, (8a) and (8b)."""
-    free = prediction.at(gains.motion, before, sample.taken)
+    free = prediction.at(gains.motion, before, sample.tick)
     xbar = sample.snapshot + free
     innovation = jnp.where(sample.mask, sample.value - gains.C @ xbar, 0.0)
-    return Point(free + gains.L @ innovation, sample.taken)
+    return Point(free + gains.L @ innovation, sample.tick)
 
 
 jump = prediction.make_jump(correct, lambda point: point)

@@ -54,7 +54,7 @@ class State(NamedTuple):
     """The estimate at a tick, and the tick of the sample before."""
 
     x: Float[Array, "2"]
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
     last: Int[Array, ""]
 
 
@@ -93,14 +93,14 @@ def tick(gains: Gains, now: Now, state: State) -> State:
 
 def update(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> State:
     """Correct at the sampling time."""
-    law: Law = gains.own
+    law: Law = gains.extra
     empty = jnp.zeros(0)
     y = gains.C @ state.x if gains.sensor is None else gains.sensor(sample_now, state.x, empty)
     b = jnp.where(sample.mask, nonlinear_model.nearest(gains, sample.value, y) - y, 0.0)[0]
-    since = sample.taken - state.last
+    since = sample.tick - state.last
     position, rate = correction(law, b, jnp.where(since > 0, since * sample_now.dt, law.period))
     x = state.x + law.back @ jnp.stack([position, rate])
-    return State(x, sample.taken, jnp.where(sample.mask[0], sample.taken, state.last))
+    return State(x, sample.tick, jnp.where(sample.mask[0], sample.tick, state.last))
 
 
 def expected(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> InnovationStats:
@@ -153,5 +153,5 @@ def design(context: DesignContext, options: Options) -> Design:
         period=np.asarray(context.period[0] * context.dt),
         explicit=np.asarray(float(options.discretization == "explicit")),
     )
-    gains = nonlinear_model.design(context, nonlinear_model.Options(), "super-twisting", own=lambda gains: law).gains
+    gains = nonlinear_model.design(context, nonlinear_model.Options(), "super-twisting", extra=lambda gains: law).gains
     return Design(gains, no_certificate(WHY))

@@ -69,13 +69,13 @@ def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
 def spread_out(gains: Gains, state: Posterior) -> Float[Array, "points N"]:
     """Return the sigma points, the centre first."""
-    out = gains.own.reach * root(state.P).T
+    out = gains.extra.reach * root(state.P).T
     return jnp.concatenate([state.mean[None], state.mean[None] + out, state.mean[None] - out])
 
 
 def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, Array]:
     """Return mean and covariance of propagated sigma points."""
-    params, offsets = gains.own, points[1:] - points[:1]
+    params, offsets = gains.extra, points[1:] - points[:1]
     m = points[0] + params.weight * jnp.sum(offsets, axis=0)
     d, d0 = points[1:] - m[None], points[0] - m
     return m, params.weight * jnp.sum(d[:, :, None] * d[:, None, :], axis=0) + params.centre * jnp.outer(d0, d0)

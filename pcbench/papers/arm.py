@@ -152,7 +152,7 @@ def _compare_columns() -> Iterator[Claim]:
 def _chatter(dt: float) -> float:
     """Return PIO's largest error of x3 from 6 s on, integrated with another step."""
     base = SCENARIOS["arm/sine"]
-    scenario = base.having(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
+    scenario = base.with_fields(dt=dt, duration=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
     draft = planning.draft(cell_of(scenario), {"pio": options_of(study, scenario, "pio")})
     (run,) = run_local.execute(study, padding.fit([draft]))

@@ -99,7 +99,7 @@ def _ordering() -> Iterator[Claim]:
 def _under_noise() -> Iterator[Claim]:
     """Yield claims under noise after the transient, where the order is reversed, and the ratio to the Kalman bound."""
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "kf"], seeds=SEEDS)
-    late = SCENARIOS["cart/gaussian"].having(
+    late = SCENARIOS["cart/gaussian"].with_fields(
         duration=43.142, steady_start=40.0
     )  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}

@@ -222,7 +222,7 @@ def record() -> dict[str, Flight]:
 
 def _draft(name: str, observer: str, choices: TomlTable, changes: TomlTable) -> Plan:
     parameters = {k: v for k, v in changes.items() if k == "m"}
-    s = SCENARIOS["helicopter/" + name].having(**{k: v for k, v in changes.items() if k not in parameters})
+    s = SCENARIOS["helicopter/" + name].with_fields(**{k: v for k, v in changes.items() if k not in parameters})
     options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)
     return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
 

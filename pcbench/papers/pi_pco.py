@@ -39,7 +39,7 @@ NEGLIGIBLE = 1e-5  # smallest tail error that counts: smaller ones are not resol
 CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
 STEADY = SCENARIOS[
     "cart/variable"
-].having(  # only noise: true initial state, a clock of 0.1 s, evaluated after the transient
+].with_fields(  # only noise: true initial state, a clock of 0.1 s, evaluated after the transient
     name="steady", sampling_pattern="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), steady_start=5.0
 )
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]

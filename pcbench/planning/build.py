@@ -140,13 +140,13 @@ def slowed(cell: Cell, label: str, cache: memo.Cache = memo.no_cache) -> Cell:
     s, speed, times = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
     if not isfinite(speed):
         return cell
-    free = cell.having(processor_speed=inf)
+    free = cell.with_fields(processor_speed=inf)
 
     def count() -> Callable[[int, int], operation_counts.Cost]:
         p = draft(free, {label: cell.options[label]})
         return operation_counts.counter(p, *p.layout.observers[0])
 
-    key = identity(free, 0), label, options_digest(cell.options[label], cell.own.get(label))
+    key = identity(free, 0), label, options_digest(cell.options[label], cell.user_observers.get(label))
     load = processor.load_of(cache("counters", key, count), times.clocks[0], times.ticks, speed, s.dt)
     return cell._replace(times=processor.with_load(times, load))
 

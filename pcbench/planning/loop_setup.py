@@ -24,7 +24,7 @@ class Reach(NamedTuple):
     """How many ticks a closed loop needs before and after a run."""
 
     back: int  # stored commands
-    ahead: int
+    lookahead: int
 
 
 def options(cell: Cell) -> BaseModel:
@@ -70,7 +70,7 @@ def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerC
     return controller_table.controller_context(s)._replace(
         ticks=ticks,
         rows=reach.back,
-        ahead=reach.ahead,
+        lookahead=reach.lookahead,
         field=Partial(plant.model, params) if plant.model else None,
         inverse=Partial(plant.inverse, params) if plant.inverse else None,
     )
@@ -83,7 +83,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
     """
     s, context = cell.scenario, make_controller_context(cell, reach, ticks)
     entry, name = controllers.entry_of(s), s.loop.controller
-    if "controller" not in s.own:
+    if "controller" not in s.user_code:
         law = entry.prepare(options(cell), context)
     else:
         try:
@@ -99,8 +99,8 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
         sizes = law_conformance.Sizes(n, signals - n, m)
         law_conformance.check(name, controllers.law_of(entry, options(cell)), arrays, sizes)
     if controller_table.has_generic_controller(s):
-        return law, command_network.held_line(context.late, reach.back, ticks + reach.ahead)
-    return law, command_network.line(context.delay, s.dt, reach.back, ticks + reach.ahead)
+        return law, command_network.held_line(context.late, reach.back, ticks + reach.lookahead)
+    return law, command_network.line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
 
 
 def pending(cell: Cell) -> int:

@@ -34,14 +34,14 @@ def explain_divergence(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Itera
     `stats()` returns the statistics of the study's runs; it is called only if a closed loop has a user-defined observer. For
     each scenario and observer, the first grid point at which all runs diverged is simulated.
     """
-    cells = {cell.key: cell for cell in grid.cells if cell.scenario.loop.controller and cell.own}
+    cells = {cell.key: cell for cell in grid.cells if cell.scenario.loop.controller and cell.user_observers}
     if not cells:
         return
     table = stats()
     diverged = table[(table.metric == "divergence_rate") & (table.method == "runs") & (table["mean"] == 1.0)]
     for row in diverged.drop_duplicates(["scenario", "observer"]).to_dict("records"):
         label, cell = row["observer"], cells.get((row["scenario"], row["cell"]))
-        age = oldest_missing_input(cell, label, grid.study) if cell and label in cell.own else None
+        age = oldest_missing_input(cell, label, grid.study) if cell and label in cell.user_observers else None
         if age is not None:
             yield (
                 f"{label}: asks past_u for the input of {age} ticks ago, which the closed loop of {row['scenario']} no longer "

@@ -54,7 +54,7 @@ class Capacity(NamedTuple):
     early: int = 0  # packets from before tick 0
     notes: int = 0  # snapshots at one tick, in addition to the first
     back: int = 0  # ticks of stored commands in a closed loop
-    ahead: int = 0  # ticks past the end in a closed loop
+    lookahead: int = 0  # ticks past the end in a closed loop
     falls: int = 0  # jumps of the unknown input
     pending: int = 0  # commands on a network at one time
     outliers: bool = False  # there are outliers
@@ -76,7 +76,7 @@ def room_of(p: Plan) -> Capacity:
         early=power_of_2(len(schedule.early)) if common else 0,
         notes=schedule.extra_snapshots.shape[1] if common else 0,
         back=power_of_2(back),
-        ahead=power_of_2(ahead),
+        lookahead=power_of_2(ahead),
         falls=len(p.problem.jumps),
         pending=power_of_2(p.layout.pending),
         outliers=bool(p.problem.outliers),
@@ -117,7 +117,7 @@ def fit_to_capacity(p: Plan, room: Capacity, cache: memo.Cache = memo.no_cache) 
         )
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
-        law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.ahead), p.cell.times.ticks)
+        law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.lookahead), p.cell.times.ticks)
         problem = problem._replace(control=law, line=line)
         layout = layout._replace(commands=room.back, pending=room.pending if layout.pending else 0)
     return p._replace(problem=problem, layout=layout)

@@ -109,7 +109,7 @@ PLANTS: dict[str, PlantSpec] = {
 
 def entry_of(scenario: Scenario) -> PlantSpec:
     """Return a scenario's plant: its user-defined one, or else the one of its name."""
-    return scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
+    return scenario.user_code["plant"].entry if "plant" in scenario.user_code else PLANTS[scenario.plant]
 
 
 def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
@@ -149,19 +149,19 @@ def numbers_of(scenario: Scenario) -> PyTree:
 
 
 def replace_numbers(numbers: PyTree, values: Mapping[str, object]) -> PyTree:
-    """Return a plant's parameters with some changed; named numbers of an [lti] plant are in its `own`."""
+    """Return a plant's parameters with some changed; named numbers of an [lti] plant are in its `parameters`."""
     fields = {name: v for name, v in values.items() if name in numbers._fields}
     by_name = {name: v for name, v in values.items() if name not in fields}
     out = numbers._replace(**fields)
     if not by_name:
         return out
     plant = {name: v for name, v in out.plant.items() if name not in by_name}
-    return out._replace(own={**out.own, **by_name}, plant=plant)
+    return out._replace(parameters={**out.parameters, **by_name}, plant=plant)
 
 
 def differs(numbers: PyTree, values: Mapping[str, object]) -> bool:
     """Return whether given parameters make a plant differ from its default."""
-    by_name = getattr(numbers, "own", {})
+    by_name = getattr(numbers, "parameters", {})
     return any(
         value != (by_name[name] if name in by_name else getattr(numbers, name)) for name, value in values.items()
     )
@@ -199,4 +199,4 @@ def parameters_of(plant: PlantSpec) -> list[str]:
 
 def parameters_in(scenario: Scenario) -> list[str]:
     """Return the names of the parameters that a study of a scenario may vary, including named ones of an [lti] plant."""
-    return [*parameters_of(entry_of(scenario)), *scenario.belief.model.get("own", {})]
+    return [*parameters_of(entry_of(scenario)), *scenario.belief.model.get("parameters", {})]

@@ -68,7 +68,7 @@ def nominal(p: Numbers) -> Model:
     A = np.array([[0, 1, 0, 0], [-k, -a, k, 0], [0, 0, 0, 1], [k, 0, -k, -b]])
     B, C = np.array([[0.0], [0], [0], [1 / p.J]]), np.array([[0.0, 1, 0, 0], [0, 0, 1, 0]])
     known_part = jax.tree_util.Partial(pull, np.asarray(p.M * p.g * p.l / p.J))
-    return Model(A, B, C, E=np.array([[0.0], [1], [0], [0]]), known=known_part)
+    return Model(A, B, C, E=np.array([[0.0], [1], [0], [0]]), nonlinearity=known_part)
 
 
 def pull(delta: Array, x: Float[Array, "4"]) -> Float[Array, "1"]:

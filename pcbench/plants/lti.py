@@ -38,8 +38,8 @@ class Numbers(NamedTuple):
     drift: float = 0.0  # share of `plant`
     E: Rows | None = None  # [n, r]; None: no unknown input
     unknown_input: str = "zero"  # f: name of a signal for all, or one per input, with commas
-    own: Mapping[str, float] = NOTHING  # named numbers of the formulas
-    written: Mapping[str, Rows] = NOTHING  # by letter: matrices with formulas among their entries
+    parameters: Mapping[str, float] = NOTHING  # named numbers of the formulas
+    formulas: Mapping[str, Rows] = NOTHING  # by letter: matrices with formulas among their entries
     plant: Mapping[str, Any] = NOTHING  # true values that the model does not have: rows by letter, numbers by name
 
 
@@ -61,9 +61,9 @@ class Params(NamedTuple):
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model for designs."""
-    rows = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
-    A, B, C = (evaluate_rows(rows[letter], numbers.own) for letter in "ABC")
-    D, E = (None if rows[letter] is None else evaluate_rows(rows[letter], numbers.own) for letter in "DE")
+    rows = {letter: numbers.formulas.get(letter, getattr(numbers, letter)) for letter in MATRICES}
+    A, B, C = (evaluate_rows(rows[letter], numbers.parameters) for letter in "ABC")
+    D, E = (None if rows[letter] is None else evaluate_rows(rows[letter], numbers.parameters) for letter in "DE")
     return Model(A, B, C, D, numbers.discrete, E)
 
 
@@ -81,8 +81,8 @@ def evaluate_rows(rows: Rows, by_name: Mapping[str, float]) -> Matrix:
 def actual(numbers: Numbers) -> Model:
     """Return the true plant: the share `drift` of `plant`, and 1 - `drift` of the model."""
     share, plant = numbers.drift, numbers.plant
-    by_name = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.own.items()}
-    model = nominal(numbers._replace(own=by_name)) if plant else nominal(numbers)
+    by_name = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.parameters.items()}
+    model = nominal(numbers._replace(parameters=by_name)) if plant else nominal(numbers)
     nominal_model = model._replace(D=model.feedthrough)
     return model._replace(
         **{

@@ -68,8 +68,8 @@ class Profile:
         progress: Progress,
     ) -> None:
         """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns an observer's gains and z."""
-        length = max(power_of_2(a.last + 1), 2)
-        if a.last >= likelihood.MOST:
+        length = max(power_of_2(a.last_tick + 1), 2)
+        if a.last_tick >= likelihood.MOST:
             likelihood.load_recording(a)  # raises UserError for an unsuitable recording
         self.a, self.low, self.high, self.progress = a._replace(length=length), low, high, progress
         self.batches = list(a.log.measurements())
@@ -89,7 +89,7 @@ class Profile:
     def _log(self, delays: Delays) -> Log:
         """Return the samples that no delay moves out of the recording, each arriving when it was taken."""
         dt, clock = self.a.clock.dt, self.a.clock
-        first, last = max(self.high.max(), 0), self.a.last + min(self.low.min(), 0)
+        first, last = max(self.high.max(), 0), self.a.last_tick + min(self.low.min(), 0)
         shift = np.array(delays) * dt
 
         def measurements() -> Iterator[Batch]:
@@ -103,7 +103,7 @@ class Profile:
 
     def _window(self, delays: Delays) -> Window:
         a = self.a
-        (stretch,) = stretches(self._log(delays), a.survey, a.clock, a.length, a.last)
+        (stretch,) = stretches(self._log(delays), a.survey, a.clock, a.length, a.last_tick)
         return window(stretch, len(self.low), 1, 0, self.p.variances)[0]
 
     @property

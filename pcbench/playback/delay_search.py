@@ -45,7 +45,7 @@ class ChannelDelay(NamedTuple):
     low: float  # 95 % interval
     high: float
     at_end: str  # "low" or "high" if the estimate is at that limit of the search range, else ""
-    searched: tuple[float, float]
+    search_range: tuple[float, float]
     delays: list[float]  # of the profile
     drops: list[float]  # log-likelihood below the maximum
 
@@ -53,7 +53,7 @@ class ChannelDelay(NamedTuple):
 def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
     """Return the smallest and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
     every, dt = a.survey.channels.values(), a.clock.dt
-    most = SHARE * a.last * dt
+    most = SHARE * a.last_tick * dt
     if longest is None:
         longest = min(INTERVALS * max(c.intervals.median for c in every if c.intervals.many), most)
     if not dt <= longest <= most:
@@ -224,7 +224,7 @@ def _results(
             low=ends[0],
             high=ends[2],
             at_end="low" if best[c] == first else "high" if best[c] == last else "",
-            searched=(ends[3], ends[4]),
+            search_range=(ends[3], ends[4]),
             delays=(ends[1] + scale * dt * (s.ticks - s.peak)).tolist(),
             drops=s.drops.tolist(),
         )
@@ -241,7 +241,7 @@ def _results(
 
 def _remarks(delay: ChannelDelay, dt: float) -> list[str]:
     """Return sentences on one delay."""
-    name, out, (first, last) = delay.channel, [], delay.searched
+    name, out, (first, last) = delay.channel, [], delay.search_range
     if delay.low <= first and delay.high >= last:
         out.append(
             f"{name}: the recording does not determine the delay: the interval is the whole search range; record more, "

@@ -52,11 +52,11 @@ class SampleLikelihood(NamedTuple):
 
 def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
     """Return the observer of a recording and the recording in memory; raise UserError if it is too long or does not fit."""
-    if a.last >= MOST:
+    if a.last_tick >= MOST:
         raise UserError(
-            f"{a.log.name}: got {a.last + 1} ticks, expected {MOST} at most to tune on; cut the log, or take a longer tick."
+            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MOST}; cut the log, or take a longer tick."
         )
-    a = a._replace(length=max(power_of_2(a.last + 1), 2))
+    a = a._replace(length=max(power_of_2(a.last_tick + 1), 2))
     p = prepare_observers(a, room_of(a))
     (part,) = stream.parts(a, p, [])
     return p, part

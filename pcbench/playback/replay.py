@@ -44,7 +44,7 @@ class Passage(NamedTuple):
     """The raw results of a pass through a recording."""
 
     innovations: dict[str, InnovationSums]  # by observer that reports innovations
-    arrived: Ints  # [q] samples
+    n_arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: unknown
     smoothed_states: Floats | None  # [ticks, n]
     delays: dict[
@@ -161,19 +161,19 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
     signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
     score_signals, truth_signals = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
     runners = stream.init_runners(p, bool(score_signals), seed)
-    held_out_start = innovation_tests.held_out_start(a.last)
+    held_out_start = innovation_tests.held_out_start(a.last_tick)
     innovations = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
     arrived = np.zeros(q, int)
     model = smoother.model_of(p.context, p.problem.xhat0)
-    has_memory = model is not None and smoother.fits(model, a.last + 1)
-    y, u = (np.full((a.last + 1 if has_memory else 0, k), np.nan) for k in (q, p.m))
+    has_memory = model is not None and smoother.fits(model, a.last_tick + 1)
+    y, u = (np.full((a.last_tick + 1 if has_memory else 0, k), np.nan) for k in (q, p.m))
     ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
     largest, largest_y = np.zeros(len(score_signals)), np.zeros(q)  # largest truth by signal, and largest measurement
-    progress.begin("ticks", a.last + 1)
-    ends = np.array([a.cell.times.tail, a.last])
+    progress.begin("ticks", a.last_tick + 1)
+    ends = np.array([a.cell.times.tail, a.last_tick])
     for part, outputs in stream.through(runners, stream.parts(a, p, score_signals), p.back, ends):
         w, ticks = part.window, part.first + np.arange(a.length)
-        n_ticks = min(a.length, a.last + 1 - part.first)
+        n_ticks = min(a.length, a.last_tick + 1 - part.first)
         estimates, sigmas = (
             {label: np.asarray(getattr(o, field))[:n_ticks] for label, o in outputs.items()}
             for field in ("estimate", "sigma")
@@ -196,9 +196,9 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
         if has_memory:
             u[part.first : part.first + n_ticks] = part.inputs[p.back :][:n_ticks]
             k, slot, channel = np.nonzero(w.mask)
-            y[w.taken[k, slot], channel] = w.value[k, slot, channel]
+            y[w.sampling_ticks[k, slot], channel] = w.value[k, slot, channel]
             if w.variance_ratio is not None:
-                ratio[w.taken[k, slot], channel] = w.variance_ratio[k, slot, channel]
+                ratio[w.sampling_ticks[k, slot], channel] = w.variance_ratio[k, slot, channel]
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
     band, noise = np.asarray(p.problem.band)[: len(score_signals)], np.sqrt(np.asarray(p.context.noise_variance))
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
@@ -237,7 +237,7 @@ def _results(
     innovations = pd.DataFrame(
         [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.innovations.items()]
     )
-    channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.arrived)
+    channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.n_arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
     for label, (mean, std) in passage.delays.items():
         a.remarks.append(
@@ -264,10 +264,10 @@ def _results(
         "plant": a.cell.scenario.name,
         "rows": a.survey.rows,
         "start": a.clock.start,
-        "ticks": a.last,
+        "ticks": a.last_tick,
         "dt": dt,
         "steady_start": a.cell.times.tail * dt,
-        "held_out_from": innovation_tests.held_out_start(a.last) * dt,
+        "held_out_from": innovation_tests.held_out_start(a.last_tick) * dt,
         "outputs": _outputs(a),
         "largest_rounding": off,
         "better_dt": better,

@@ -83,7 +83,7 @@ def innovation_table(
     """
     k, slot, channel = np.nonzero(w.mask)
     fields: list[tuple[str, str, str, Any]] = [
-        ("sampled", "s", "time since the start of the log", w.taken[k, slot] * clock.dt),
+        ("sampled", "s", "time since the start of the log", w.sampling_ticks[k, slot] * clock.dt),
         ("arrived", "s", "time since the start of the log", (first + k) * clock.dt),
         ("value", "", "measured value", w.value[k, slot, channel]),
     ]

@@ -28,7 +28,7 @@ def tables_of(
             "--log: got a scenario that measured before t = 0, expected one that begins there; take another."
         )
     last = len(recording.x) - 1
-    every = sorted((s for s in samples if s.taken <= last), key=lambda s: (s.taken, s.channel))
+    every = sorted((s for s in samples if s.tick <= last), key=lambda s: (s.tick, s.channel))
     k, slot, channel = np.nonzero(schedule.mask)
     numbers = schedule.number[k, slot, channel].tolist()
     value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.brought[k, slot, channel], strict=True))

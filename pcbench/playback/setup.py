@@ -43,7 +43,7 @@ class Playback(NamedTuple):
     survey: Survey
     cell: Cell
     clock: Clock
-    last: int  # last tick
+    last_tick: int  # last tick
     remarks: list[str]  # sentences
     length: int  # ticks of a part
 
@@ -127,14 +127,14 @@ def open_playback(
         remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {recording.name} states for it.")
     length = min(LENGTH, max(power_of_2(last + 1), 2))
     name = Path(log).name if isinstance(log, str | Path) else recording.name
-    return Playback(name, recording, stats, cell, clock, last=last, remarks=remarks, length=length)
+    return Playback(name, recording, stats, cell, clock, last_tick=last, remarks=remarks, length=length)
 
 
 def room_of(a: Playback) -> Room:
     """Return the room that a recording needs, from one pass over it."""
     latest = int(np.ceil(max((c.delays.most for c in a.survey.channels.values()), default=0.0) / a.clock.dt)) + 1
     room = Room()
-    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
+    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last_tick):
         room = with_stretch(room, stretch, max(latest, 0))
     return room
 
@@ -186,7 +186,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
                     f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
                     "be correlated between outputs, expected one of them; leave one out."
                 )
-    back = min(a.last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.longest_gap, 1)))
+    back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.longest_gap, 1)))
     around = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),

@@ -116,7 +116,7 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
         def jump(so_far: tuple[Run, Array]) -> tuple[Run, Array]:
             run, surprises = so_far
             packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
-            age, since = jnp.full(w.mask[slot].shape, k - w.taken[slot]), w.ticks_since_arrival[slot]
+            age, since = jnp.full(w.mask[slot].shape, k - w.sampling_ticks[slot]), w.ticks_since_arrival[slot]
             ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
             arrival = partial(
                 Arrival,

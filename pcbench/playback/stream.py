@@ -41,7 +41,7 @@ def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Par
     inputs = at_ticks(a, a.log.inputs, "inputs", a.log.inputs.names if a.log.inputs else [""] * p.m)
     truth = at_ticks(a, a.log.truth, "truth", signals)
     before, arrived = np.zeros((p.back, p.m)), 0
-    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last):
+    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last_tick):
         w, arrived = window(stretch, len(a.log.channels), p.slots, arrived, p.variances)
         rows = next(inputs)
         exists = ~np.isnan(rows).all(1) if p.m else np.zeros(a.length, bool)
@@ -74,7 +74,7 @@ def at_ticks(a: Playback, table: Table | None, kind: str, names: Sequence[str]) 
             tick = a.clock.ticks(rows.t)
             yield pd.DataFrame(rows.values, tick, list(table.names)).reindex(columns=list(names))[tick >= 0]
 
-    for first, rows in cut(rows_in_ticks(), a.length, a.last):
+    for first, rows in cut(rows_in_ticks(), a.length, a.last_tick):
         out = np.full((a.length, len(names)), np.nan)
         rows = rows.groupby(level=0).last()  # the last value of each column at a tick
         out[rows.index - first] = rows

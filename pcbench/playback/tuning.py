@@ -50,7 +50,7 @@ class Intensity(NamedTuple):
 
     name: str  # of the option, with its index: R[0], Q[1]
     start: float
-    found: float  # from the whole recording
+    value: float  # from the whole recording
     low: float  # 95 % interval; NaN: undetermined; 0: `high` is a one-sided limit
     high: float
 
@@ -60,7 +60,7 @@ class LogTuning(NamedTuple):
 
     study: dict[str, Any]  # plant and observer with the chosen options: the content of tuned.toml
     start: dict[str, float | list[float]]
-    found: dict[str, float | list[float]]
+    best: dict[str, float | list[float]]
     kept_start: str  # reason why the start was kept; empty: the tuned options are chosen
     intensities: list[Intensity]
     # for start and tuned (to the first part): results of `innovation_tests` for the held-out part
@@ -68,7 +68,7 @@ class LogTuning(NamedTuple):
     gain: float  # in log-likelihood per held-out number, tuned to the first part minus start
     gain_se: float  # and its standard error over samples
     points: list[Evaluation]  # of the fit to the first part, then of that to the whole recording
-    said: list[str]
+    notes: list[str]
     log_likelihood: float  # mean per number of the recording, as in a replay with the chosen delays and noise
     delays: list[ChannelDelay]  # empty: not estimated
 
@@ -114,7 +114,7 @@ def tune_log(
             )
             a.remarks.extend(delay_remarks)
         p, part = likelihood.load_recording(a)
-        context, held_out_start = p.context, innovation_tests.held_out_start(a.last)
+        context, held_out_start = p.context, innovation_tests.held_out_start(a.last_tick)
         start_design = planning.run_design(label, entry, context, options)
         names = _tuned_options(entry, options, start_design, only, where)
         free, at_start = tune.free_parameters(label, entry, context, options, start_design, names, where)
@@ -128,7 +128,7 @@ def tune_log(
 
         def fit(history: History, at: Vector, end: int) -> Vector:
             tune.descend("descent", history, at, lambda point: _value(evaluate(point), end), budget, where, progress)
-            return np.array(history.best.at)
+            return np.array(history.best.parameters)
 
         arrivals = part.window.mask.sum((1, 2))
         _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
@@ -159,7 +159,7 @@ def tune_log(
         after = evaluate(first_fit := fit(trials, at_start, held_out_start))
         refit = History(target, f"{about}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
         progress.begin("points", budget)
-        best = fit(refit, first_fit, a.last + 1)
+        best = fit(refit, first_fit, a.last_tick + 1)
 
         def total(at: Vector) -> tuple[float, Vector]:
             samples = evaluate(at)
@@ -177,14 +177,14 @@ def tune_log(
         tuned = LogTuning(
             study=tune.with_options(study, label, {} if reason else parameters.written(free, best)),
             start=parameters.written(free, at_start),
-            found=parameters.written(free, best),
+            best=parameters.written(free, best),
             kept_start=reason,
             intensities=intensities,
             held_out=held_out,
             gain=gain,
             gain_se=se,
             points=[*trials.points, *refit.points],
-            said=[
+            notes=[
                 *a.remarks,
                 *_factors(a, p, parameters.written(free, best)),
                 *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
@@ -339,7 +339,7 @@ def _remarks(is_converged: bool, intensities: list[Intensity], ljung_box_p: floa
         out.append(
             f"{', '.join(limits)}: the log does not exclude 0, so this is a one-sided 95 % limit (profile likelihood)."
         )
-    if floor := [i.name for i in intensities if i.name.startswith("R") and i.found <= 2 * parameters.LEAST]:
+    if floor := [i.name for i in intensities if i.name.startswith("R") and i.value <= 2 * parameters.LEAST]:
         out.append(
             f"{', '.join(floor)}: at the least value that is possible, {parameters.LEAST:g}: the channel never changes, or the "
             "process noise explains all of it; this is no estimate of its noise."
@@ -357,7 +357,7 @@ def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     summary: dict[str, object] = {
         "about": about,
         "start": tuned.start,
-        "found": tuned.found,
+        "found": tuned.best,
         "kept_start": tuned.kept_start,
     }
     summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}

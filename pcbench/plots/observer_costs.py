@@ -44,7 +44,7 @@ class CacheEntry(NamedTuple):
     @property
     def is_computable(self) -> bool:
         """Whether the code of every observer, plant and law of a user's own is here."""
-        return not any(map(is_absent, [*self.cell.own.values(), *self.cell.scenario.own.values()]))
+        return not any(map(is_absent, [*self.cell.user_observers.values(), *self.cell.scenario.user_code.values()]))
 
 
 def load_table(out: str | Path | None, entry: CacheEntry) -> pd.DataFrame | None:

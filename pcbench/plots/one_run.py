@@ -185,9 +185,9 @@ def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.
         if first and i < trajectories.target.shape[1]:
             yield frame(signal, "set point", "target", trajectories.target[:, i])
         if signal in outputs and first and not is_closed:
-            yield frame(signal, "measured", "measured", trajectories.held[:, outputs[signal], 0])
+            yield frame(signal, "measured", "measured", trajectories.newest[:, outputs[signal], 0])
     if first and not is_closed:
-        held_values = trajectories.held[:, :, 0]
+        held_values = trajectories.newest[:, :, 0]
         with np.errstate(invalid="ignore"):
             new = (np.diff(held_values, axis=0, prepend=np.nan) != 0) & np.isfinite(held_values)
         rows = np.any(new, axis=1)

@@ -39,7 +39,7 @@ class Window(NamedTuple):
     sense: Ticks  # [K] the packet taken at this tick
     sampled: NDArray[np.bool_]  # [K, q] the channels in it
     arrive: Ticks  # [K, S] the packets that arrive
-    taken: Ticks  # [K, S] their sampling ticks
+    sampling_ticks: Ticks  # [K, S] their sampling ticks
     mask: NDArray[np.bool_]  # [K, S, q]
     number: Ticks  # [K, S, q] sample number of each channel
     value: Floats  # [K, S, q]
@@ -129,7 +129,7 @@ def window(
         sense=np.full(many, -1, np.int32),
         sampled=np.zeros((many, channels), bool),
         arrive=np.full(shape, -1, np.int32),
-        taken=np.zeros(shape, np.int32),
+        sampling_ticks=np.zeros(shape, np.int32),
         mask=np.zeros((*shape, channels), bool),
         number=np.full((*shape, channels), -1, np.int32),
         value=np.zeros((*shape, channels)),
@@ -140,7 +140,7 @@ def window(
     out.sampled[s.samples.taken - s.first, s.samples.channel] = True
     tick, slot, channel = s.arrivals.arrives - s.first, slots_of(s), s.arrivals.channel
     out.arrive[tick, slot] = s.arrivals.packet
-    out.taken[tick, slot] = s.arrivals.taken
+    out.sampling_ticks[tick, slot] = s.arrivals.taken
     out.mask[tick, slot, channel] = True
     out.number[tick, slot, channel] = s.arrivals.number
     out.value[tick, slot, channel] = s.arrivals.value

@@ -174,7 +174,7 @@ def _fact(row: Row, every: list[Cell], study_axes: Mapping[str, object]) -> Fact
 def _observer(cell: Cell, label: str) -> str:
     """Return an observer with the options that differ from its defaults."""
     options = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
-    if not options or (label in cell.own and is_absent(cell.own[label])):
+    if not options or (label in cell.user_observers and is_absent(cell.user_observers[label])):
         return label
     return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in options.items())})"
 
@@ -182,7 +182,7 @@ def _observer(cell: Cell, label: str) -> str:
 def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
     """Return the source of a scenario, and the fields that this study has changed."""
     original = SCENARIOS.get(s.name)
-    if original is None or s.own:
+    if original is None or s.user_code:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
     differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != original.value(f) for c in every)]
     differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]

@@ -54,7 +54,7 @@ class Part(NamedTuple):
 
     title: str
     headlines: list[headline.Headline]
-    at: str  # the values of the axes that a figure does not show
+    axis_values: str  # the values of the axes that a figure does not show
     pictures: list[dict[str, str]]
 
 
@@ -130,7 +130,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         summary=rows,
         tracking=summary.LOOP if any(row.loop for row in rows) else "",
         tracking_means=LOOP,
-        several=any(t.of > len(rows) for t in tallies),
+        several=any(t.total > len(rows) for t in tallies),
         anchors=anchors,
         sections=sections,
         options=of_scenario.rows(result),

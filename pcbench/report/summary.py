@@ -43,7 +43,7 @@ class Tally(NamedTuple):
     colour: str
     wins: int  # grid points
     leads: int  # grid points at which no other observer is significantly better
-    of: int  # grid points at which it ran
+    total: int  # grid points at which it ran
 
 
 class Ranking(NamedTuple):

@@ -49,12 +49,12 @@ SINE = Scenario(
 
 ARM = (
     SINE,
-    SINE.having(
+    SINE.with_fields(
         name="arm/sawtooth",
         summary="unknown sawtooth input, continuous measurement",
         unknown_input="arm-sawtooth",
     ),
-    SINE.having(
+    SINE.with_fields(
         name="arm/sampled",
         summary="as arm/sine, period and delay 0.02 s, noise of 0.001",
         source="our choice, after Peng 2017",

@@ -37,13 +37,13 @@ FOLLOWING = Scenario(
 )
 CAMERA_TARGET = (
     FOLLOWING,
-    FOLLOWING.having(
+    FOLLOWING.with_fields(
         name="camera-target/servoing",
         summary="as following, with a command proportional to the offset",
         controller="state-feedback",
         control={"K": [[-SERVO_GAIN, 0.0, 0.0]]},
     ),
-    FOLLOWING.having(
+    FOLLOWING.with_fields(
         name="camera-target/camera",
         summary="as following, but in open loop: the platform moves along a sine",
         observers=("kf", "kf-shifted-innovation", "kf-ignore-delay", "model-only"),

@@ -31,7 +31,7 @@ NOMINAL = Scenario(
     options=PCO | {"kfbo": {"R": 0.004}},
 )
 
-UNKNOWN = NOMINAL.having(
+UNKNOWN = NOMINAL.with_fields(
     name="cart/unknown-delay",
     summary="unknown delay of 0.2 s, assumed to be 0.3 s; period 0.1 s, noise of 0.05 m",
     source="our choice: the cart of " + PAPER + "6 with a sine input, whose slope shows the delay",
@@ -51,7 +51,7 @@ UNKNOWN = NOMINAL.having(
     options={"mmae-delay": {"delays": [round(0.02 * i, 2) for i in range(1, 31)]}},
 )._replace(dt=0.01)
 
-CAMERA = NOMINAL.having(
+CAMERA = NOMINAL.with_fields(
     name="cart/variable",
     summary="varying intervals of 0.2 s on average, delay of one interval, noise of variance 0.001",
     source=VARIABLE,
@@ -65,7 +65,7 @@ CAMERA = NOMINAL.having(
 
 CART = (
     NOMINAL,
-    NOMINAL.having(
+    NOMINAL.with_fields(
         name="cart/gaussian",
         summary="noise of variance 1, period and delay 0.6 s",
         source=PAPER + "6.2",
@@ -74,7 +74,7 @@ CART = (
         noise_std=(1.0,),
         options=PCO | {"kfbo": {"R": 1.0}},
     ),
-    NOMINAL.having(
+    NOMINAL.with_fields(
         name="cart/gaussian-fast",
         summary="noise of variance 1, period 0.2 s, delay 0.6 s",
         source=PAPER + "6.2, other reading",
@@ -82,19 +82,19 @@ CART = (
         noise_std=(1.0,),
         options=PCO | {"kfbo": {"R": 1.0}},
     ),
-    NOMINAL.having(
+    NOMINAL.with_fields(
         name="cart/white",
         summary="noise of variance 0.35, period and delay 0.2 s",
         source=PAPER + "6.2",
         noise_std=(sqrt(0.07 / 0.2),),
     ),
-    NOMINAL.having(
+    NOMINAL.with_fields(
         name="cart/drift",
         summary="drifting parameters, no noise, period and delay 0.2 s",
         source=PAPER + "6.3",
         parameter_drift=1.0,
     ),
-    NOMINAL.having(
+    NOMINAL.with_fields(
         name="cart/slow",
         summary="no noise, period and delay 1 s",
         source=PAPER + "6.4",
@@ -103,13 +103,13 @@ CART = (
         options=PCO | {"kfbo": {"R": 0.3}},
     ),
     CAMERA,
-    CAMERA.having(
+    CAMERA.with_fields(
         name="cart/variable-bias",
         summary="as cart/variable, with an input bias of 0.2",
         source=VARIABLE + ", other plant",
         parameters={"input_bias": 0.2},
     ),
-    CAMERA.having(
+    CAMERA.with_fields(
         name="cart/variable-gain",
         summary="as cart/variable, with a true input gain 10 % larger",
         source=VARIABLE + ", other plant",

@@ -56,12 +56,12 @@ def make_csth(name: str, summary: str, source: str, tick: float) -> Scenario:
 
 PHYSICAL = make_csth("csth/10s", "physical plant, period 10 s, no noise", PAPER + ", made consistent", 10.0)
 CSTH = (
-    make_csth("csth/literal", "the published recursion with a tick of 1, no noise", PAPER, 1.0).having(
+    make_csth("csth/literal", "the published recursion with a tick of 1, no noise", PAPER, 1.0).with_fields(
         input="heater-literal", model={"literal": True}
     ),
     make_csth("csth/1s", "physical plant, period 1 s, no noise", PAPER + ", made consistent", 1.0),
     PHYSICAL,
-    PHYSICAL.having(
+    PHYSICAL.with_fields(
         name="csth/10s-noise",
         summary="physical plant, period 10 s, with noise",
         source=PAPER + ", with noise",

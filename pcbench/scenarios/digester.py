@@ -61,7 +61,7 @@ MULTIRATE = Scenario(
 )
 DIGESTER = (
     MULTIRATE,
-    MULTIRATE.having(
+    MULTIRATE.with_fields(
         name="digester/printed-feed",
         summary="as multirate, with the larger feed of the public program",
         model={"point": "printed"},

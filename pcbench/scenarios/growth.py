@@ -33,7 +33,7 @@ GORDON = Scenario(
 )
 GROWTH = (
     GORDON,
-    GORDON.having(
+    GORDON.with_fields(
         name="growth-model/arulampalam",
         summary="cosine at the time of the new state, 100 steps, 50 particles",
         source="Arulampalam, Maskell, Gordon, Clapp 2002",

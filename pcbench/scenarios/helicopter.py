@@ -52,7 +52,7 @@ CONSTANT = Scenario(
 
 HELICOPTER = (
     CONSTANT,
-    CONSTANT.having(
+    CONSTANT.with_fields(
         name="helicopter/varying",
         summary="as helicopter/constant, delays 0.03 + 0.015 sin(2t) s",
         source=PAPER + ".2",

@@ -32,7 +32,7 @@ MINIMUM_PHASE = Scenario(
 )
 QUADRUPLE_TANK = (
     MINIMUM_PHASE,
-    MINIMUM_PHASE.having(
+    MINIMUM_PHASE.with_fields(
         name="quadruple-tank/right-zero",
         summary="as delayed, most water to the upper tanks",
         model={"k1": 3.14, "k2": 3.29, "gamma1": 0.43, "gamma2": 0.34, "point": "P+"},

@@ -139,7 +139,7 @@ RECORDS = {
 }
 STAMPS = ("timestamp_offset", "clock_skew", "timestamp_jitter")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
-CODE = ("own",)  # functions, which are in no digest and no file
+CODE = ("user_code",)  # functions, which are in no digest and no file
 
 
 class Scenario(NamedTuple):
@@ -158,9 +158,9 @@ class Scenario(NamedTuple):
     dt: float = 1e-3  # s, the tick
     duration: float = 10.0  # s
     options: Mapping[str, TomlTable] = NOTHING  # by observer
-    own: Mapping[str, Any] = NOTHING  # user-defined "plant", "controller" (entry, code); others as named
+    user_code: Mapping[str, Any] = NOTHING  # user-defined "plant", "controller" (entry, code); others as named
 
-    def having(self, **changes: object) -> "Scenario":
+    def with_fields(self, **changes: object) -> "Scenario":
         """Return the scenario with changed fields, each in its record; raise TypeError for an unknown field."""
         new: TomlTable = {}
         for name, value in changes.items():
@@ -182,7 +182,7 @@ class Scenario(NamedTuple):
 
         For user-defined code the value is its digest.
         """
-        code = {"code": {kind: plugin.code.digest for kind, plugin in self.own.items()}} if self.own else {}
+        code = {"code": {kind: plugin.code.digest for kind, plugin in self.user_code.items()}} if self.user_code else {}
         fields = {name: value for name, value in self._asdict().items() if name not in (*RECORDS, *CODE)}
         for record in RECORDS:
             fields |= getattr(self, record)._asdict()

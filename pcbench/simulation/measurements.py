@@ -75,7 +75,7 @@ class Sensors(NamedTuple):
     values: Array  # [q] the last value sent; NaN: none yet
     n_samples: Array  # number of samples taken, over all channels
     n_sent: Array  # number of samples sent
-    last: Array  # the last tick with an arrival; 0: none yet
+    last_arrival: Array  # the last tick with an arrival; 0: none yet
 
 
 def first_sensors(q: int) -> Sensors:
@@ -95,7 +95,7 @@ def send(t: Trigger, sensors: Sensors, y: Array, is_sampled: Array) -> tuple[Sen
     is_sent &= (t.largest == 0) | (jnp.arange(len(y)) == jnp.argmax(change))
     values = jnp.where(is_sent, y, sensors.values)
     n_samples, n_sent = sensors.n_samples + jnp.sum(is_sampled), sensors.n_sent + jnp.sum(is_sent)
-    return Sensors(values, n_samples, n_sent, sensors.last), jnp.where(is_sent, y, jnp.nan)
+    return Sensors(values, n_samples, n_sent, sensors.last_arrival), jnp.where(is_sent, y, jnp.nan)
 
 
 def quantize(r: Rounding, y: Array, uniform: Array) -> Array:

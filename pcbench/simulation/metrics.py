@@ -38,7 +38,7 @@ class IntervalSums(NamedTuple):
 class SettlingState(NamedTuple):
     """Settling and divergence state of one run over the whole duration; n signals."""
 
-    unsettled: Array  # [n] the tick after the last one with |e| outside its band
+    settling_tick: Array  # [n] the tick after the last one with |e| outside its band
     recovery: (
         Array  # [n] ticks from a jump of the unknown input to the last exit from the band before the next; the longest
     )
@@ -111,7 +111,7 @@ def look(
         has_jumped = jnp.any(jumps <= tick)
         recovery = jnp.where(outside & has_jumped, jnp.maximum(recovery, since + 1.0), recovery)
     intervals = jax.tree.map(jnp.add, watch.interval, interval)
-    return SettlingState(jnp.where(outside, t + 1, watch.unsettled), recovery, first_bad, intervals)
+    return SettlingState(jnp.where(outside, t + 1, watch.settling_tick), recovery, first_bad, intervals)
 
 
 def read(
@@ -157,7 +157,7 @@ def read(
         out[prefix + "rmse"] = np.sqrt(out[prefix + "mse"])
         out[prefix + "max_abs_error"] = np.asarray(s.peak)
     out["final_error"] = np.asarray(final)
-    out["settling_time"] = np.asarray(watch.unsettled) * dt
+    out["settling_time"] = np.asarray(watch.settling_tick) * dt
     if jumps:
         out["recovery_time"] = np.asarray(watch.recovery) * dt
     if squares is not None:
@@ -174,5 +174,5 @@ def read(
         out["sent_fraction"] = np.atleast_2d(sent)
     diverged = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(diverged, np.nan, values) for name, values in out.items()}
-    out["unsettled"] = ~diverged & (np.asarray(watch.unsettled) > tail)
+    out["unsettled"] = ~diverged & (np.asarray(watch.settling_tick) > tail)
     return out | {"diverged": diverged, "divergence_time": np.where(diverged, np.asarray(watch.first_bad) * dt, np.nan)}

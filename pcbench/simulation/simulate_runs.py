@@ -295,7 +295,9 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
             }
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     if p.trigger:
-        run = run._replace(sensors=run.sensors._replace(last=jnp.where(has_arrived, k, run.sensors.last)))
+        run = run._replace(
+            sensors=run.sensors._replace(last_arrival=jnp.where(has_arrived, k, run.sensors.last_arrival))
+        )
     return run
 
 

@@ -20,7 +20,7 @@ class Recording(NamedTuple):
     x: Array  # [N+1, n + s] the state and the plant's unknown inputs
     estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
     u: Array  # [N+1, m] the input held over the tick
-    arrived: Array  # [N+1, q] the newest arrival of each channel at this tick; NaN: none
+    newest: Array  # [N+1, q] the newest arrival of each channel at this tick; NaN: none
     brought: Array  # [N+1, S, q] the values of each packet that arrives; NaN: none
     target: Array  # [N+1, r] the set point of a closed loop
     sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if consistency is on
@@ -33,7 +33,7 @@ class Trajectories(NamedTuple):
 
     x: Array  # [K, n + s, L]
     estimates: dict[str, Array]  # [K, n or n + s, L]
-    held: Array  # [K, q, L] the last arrival of each channel; NaN before the first
+    newest: Array  # [K, q, L] the last arrival of each channel; NaN before the first
     target: Array  # [K, r] the set point of a closed loop
     sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if consistency is on
     nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; if consistency is on
@@ -51,7 +51,7 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
             x=truth(layout, params, present(p, k, True), run.x),
             estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
             u=closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u,
-            arrived=_newest(brought),
+            newest=_newest(brought),
             brought=brought,
             target=closed_loop.aims(layout, p, k),
             sigma=sigma(layout, p, k, run),
@@ -79,7 +79,7 @@ def record_some(
             return Trajectories(
                 x=truth(layout, params, present(p, k, True), run.x),
                 estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
-                held=_newest(_brought(layout, p, k, run)),
+                newest=_newest(_brought(layout, p, k, run)),
                 target=closed_loop.aims(layout, p, k),
                 sigma=sigma(layout, p, k, run),
                 nees={label: (square.nees, square.states) for label, square in squares.items()},
@@ -90,10 +90,10 @@ def record_some(
         def step(carry: tuple[Run, Array, Trajectories], k: Array) -> tuple[tuple[Run, Array, Trajectories], None]:
             run, values, table = carry
             run, row = simulate_runs.tick(layout, p, params, draws, run, k, read)
-            row = row._replace(held=jnp.where(jnp.isnan(row.held), values, row.held))
+            row = row._replace(newest=jnp.where(jnp.isnan(row.newest), values, row.newest))
             place = jnp.where(k % every == 0, k // every, rows)  # the last row takes the ticks that are not recorded
             set_row = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
-            return (run, row.held, jax.tree.map(lambda a, v: set_row(a, v.astype(a.dtype)), table, row)), None
+            return (run, row.newest, jax.tree.map(lambda a, v: set_row(a, v.astype(a.dtype)), table, row)), None
 
         shape = jax.eval_shape(lambda: read(ticks[0], start))
         table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)

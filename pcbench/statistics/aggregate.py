@@ -68,7 +68,7 @@ class ObserverSummary(NamedTuple):
     n: NDArray[np.int64]  # [R]
     diverged: int  # at each grid point
     values: Values  # [C, R, COLUMNS of an estimate and of quantiles]
-    shown: NDArray[np.bool_]  # [C, R] whether the row exists
+    exists: NDArray[np.bool_]  # [C, R] whether the row exists
 
 
 def accumulate(old: Aggregate | None, s: Stack) -> Aggregate:

@@ -76,8 +76,8 @@ def close_loop(s: Scenario, table: TomlTable, where: str, plugins: Mapping[str, 
     network = {name: getattr(config, name) for name in ("actuator_delay", *axes.COMMANDS)}
     for name, value in network.items():
         axes.point(name, value, s, f"{where}.{name}")
-    name, code = (plugin.code.name, {**s.own, "controller": plugin}) if plugin else (config.use, s.own)
-    return s.having(controller=name, control=control, input="", own=code, **network)
+    name, code = (plugin.code.name, {**s.user_code, "controller": plugin}) if plugin else (config.use, s.user_code)
+    return s.with_fields(controller=name, control=control, input="", user_code=code, **network)
 
 
 def has_generic_controller(s: Scenario) -> bool:
@@ -98,11 +98,11 @@ def controller_context(s: Scenario) -> ControllerContext:
     The model includes the known part of the plant's unknown input, linearised at x = 0.
     """
     model, command_delay = entry_of(s).nominal(numbers_of(s)), s.loop.actuator_delay or 0.0
-    if model.known is not None and model.E is not None:
+    if model.nonlinearity is not None and model.E is not None:
         import jax
         import jax.numpy as jnp
 
-        known_part = jax.tree.map(jnp.asarray, model.known)
+        known_part = jax.tree.map(jnp.asarray, model.nonlinearity)
         slope = np.asarray(jax.jacfwd(known_part)(jnp.zeros(len(model.A))))
         model = model._replace(A=model.A + model.E @ slope)
     return ControllerContext(
@@ -110,7 +110,7 @@ def controller_context(s: Scenario) -> ControllerContext:
         dt=s.dt,
         ticks=0,
         rows=0,
-        ahead=0,
+        lookahead=0,
         late=times.to_ticks(command_delay, s) + times.to_ticks(s.loop.command_jitter, s) // 2,
         states=tuple(name for name, _ in states_of(s)),
         delay=times.actuator_delay(s),

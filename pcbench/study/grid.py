@@ -36,7 +36,7 @@ class Cell(NamedTuple):
     choices: Choices
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, validated, with defaults
-    own: dict[str, UserPlugin]  # user-defined observers by label
+    user_observers: dict[str, UserPlugin]  # user-defined observers by label
     options_digests: dict[str, str]  # digest of the options by label
     digest: str  # of everything that decides its numbers, without observers; empty: not part of a study
     engine: str = "steps"  # steps or definition, see `Study`
@@ -48,11 +48,11 @@ class Cell(NamedTuple):
 
     def entry(self, label: str) -> ObserverSpec:
         """Return the entry of an observer, user-defined or built-in."""
-        return self.own[label].entry if label in self.own else entry_of(label)
+        return self.user_observers[label].entry if label in self.user_observers else entry_of(label)
 
-    def having(self, **changes: object) -> "Cell":
+    def with_fields(self, **changes: object) -> "Cell":
         """Return the grid point with changed fields of its scenario and new times; it is then not part of a study."""
-        scenario = self.scenario.having(**changes)
+        scenario = self.scenario.with_fields(**changes)
         return self._replace(scenario=scenario, times=times_of(scenario), digest="")
 
 
@@ -80,7 +80,7 @@ def cell_of(
         choices,
         times_of(scenario),
         options={},
-        own={},
+        user_observers={},
         options_digests={},
         digest="",
     )
@@ -110,14 +110,14 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             fields["assumed_process_std"] = axis_values[
                 "process_std"
             ]  # designs assume the true process noise, as in the scenario
-        s = base.having(**fields, input=choices.input or base.loop.input)
+        s = base.with_fields(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
                 raise UserError(
                     f"{where}: options.scenario.unknown_input: got {choices.unknown_input!r} for {scenario}, whose plant has "
                     "no unknown input; expected a scenario such as arm/sine; leave it out."
                 )
-            s = s.having(unknown_input=choices.unknown_input)
+            s = s.with_fields(unknown_input=choices.unknown_input)
         _require_loop(s, choices, where)
         fits.fits(s, where if where == scenario else f"{where}: {scenario}")
         columns = [name for name in its_axes if name in axis_values or name not in axis.OPTIONAL]
@@ -131,7 +131,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         tuned_options = _tuned_options(study, cell, list(options), names, tuned, where) if tuned else {}
         by_label = digests | {o: options_digest(m, plugins.get(o)) for o, m in tuned_options.items()}
         cell = cell._replace(digest=identity(cell, study.root_seed), engine=engine_of(s, study.engine or "steps"))
-        out.append(cell._replace(options=options | tuned_options, own=plugins, options_digests=by_label))
+        out.append(cell._replace(options=options | tuned_options, user_observers=plugins, options_digests=by_label))
     return out
 
 

@@ -147,14 +147,15 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
         scenarios = scenarios | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
     if study.scenario is not None:
         name = study.scenario.name or study.name
-        scenarios = scenarios | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._own)}
+        scenarios = scenarios | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._user_observers)}
     for name, table in (study.tables or {}).items():
-        scenarios = scenarios | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._own)}
+        scenarios = scenarios | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._user_observers)}
     if study.controller is None:
         return scenarios
     names = [name for name in study.scenarios if name in scenarios]
     return scenarios | {
-        name: close_loop(scenarios[name], study.controller, f"{where}: controller", study._own) for name in names
+        name: close_loop(scenarios[name], study.controller, f"{where}: controller", study._user_observers)
+        for name in names
     }
 
 
@@ -173,7 +174,7 @@ def base_in(study: Study, label: str) -> str | None:
 
 def own_in(study: Study, label: str) -> UserPlugin | None:
     """Return the user-defined observer of a label in a study; None if it is built-in."""
-    return study._own.get(base_in(study, label) or label)
+    return study._user_observers.get(base_in(study, label) or label)
 
 
 def entry_in(study: Study, label: str) -> ObserverSpec:

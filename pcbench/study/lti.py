@@ -136,7 +136,9 @@ class Lti(Experiment, LtiTable):
                 )
         require_slow(numbers.A, self.dt is not None, ticks, tick, where)
         model = {letter: getattr(numbers, letter) for letter in MATRICES} | {"discrete": numbers.discrete}
-        model |= {"own": dict(numbers.own), "written": dict(numbers.written)} if numbers.own else {}
+        model |= (
+            {"parameters": dict(numbers.parameters), "formulas": dict(numbers.formulas)} if numbers.parameters else {}
+        )
         noise = process_noise(self, table.pop("process_std", None), numbers.A, tick, where)
         base = Scenario(
             name=name,

@@ -153,7 +153,7 @@ def nominal_numbers(lti: LtiTable, where: str) -> Numbers:
                     f"{_named_values(parameters) or 'all times'}; correct the formula or its parameters."
                 ) from None
     formula_rows = {letter: r for letter, r in rows.items() if _formulas(r)}
-    return Numbers(**values, discrete=lti.dt is not None, own=parameters, written=formula_rows)
+    return Numbers(**values, discrete=lti.dt is not None, parameters=parameters, formulas=formula_rows)
 
 
 def plant_deviations(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
@@ -165,8 +165,8 @@ def plant_deviations(lti: LtiTable, numbers: Numbers, where: str) -> TomlTable:
         raise UserError(f"{where}.plant: got an empty table, expected what differs; write A = ... or leave it out.")
     letters = [letter for letter in MATRICES if letter == "D" or getattr(numbers, letter) is not None]
     for name, rows in deviations.items():
-        if name not in [*letters, *numbers.own]:
-            raise unknown(f"{where}.plant", "matrix or parameter of the plant", name, [*letters, *numbers.own])
+        if name not in [*letters, *numbers.parameters]:
+            raise unknown(f"{where}.plant", "matrix or parameter of the plant", name, [*letters, *numbers.parameters])
         if name not in MATRICES:
             continue
         shape = (len(numbers.C), len(numbers.B[0])) if name == "D" else np.shape(getattr(numbers, name))
@@ -186,10 +186,10 @@ def require_plant(s: Scenario, parameters: TomlTable, where: str) -> None:
         model = actual(numbers)
     except ValueError:
         raise UserError(
-            f"{where}: got a plant with {_named_values(numbers.own)}, where a formula of a matrix has no finite value, "
+            f"{where}: got a plant with {_named_values(numbers.parameters)}, where a formula of a matrix has no finite value, "
             "expected numbers at which each has one; leave that value out."
         ) from None
-    if numbers.own or numbers.plant:
+    if numbers.parameters or numbers.plant:
         require_slow(model.A, model.discrete, to_ticks(s.duration, s), s.dt, f"{where}: the plant's matrix lti")
 
 

@@ -76,7 +76,7 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
         )
     for reference in references_in(raw):
         place = f"{where}: {reference.key if reference.kind == 'observer' else reference.kind}"
-        study._own[reference.key] = gate.code(reference, place)
+        study._user_observers[reference.key] = gate.code(reference, place)
     scenarios = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in scenarios:

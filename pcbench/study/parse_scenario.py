@@ -49,7 +49,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, plugins: Mapping[st
         )
     values = table.as_table()
     s = _base(table, values, where)._replace(name=name)
-    s = s.having(**{key: values[key] for key in ("dt", "duration") if key in values})
+    s = s.with_fields(**{key: values[key] for key in ("dt", "duration") if key in values})
     times.ticks_of(s.duration, s.dt, where)
     s = _of_plant(s, values, where, plugins)
     s = experiment_on(s, values, where, plugins, is_new=table.base is None)
@@ -82,21 +82,21 @@ def experiment_on(
                 f"{where}.{key}[{bad_rows[0]}]: got {got} numbers, expected {sizes['n']}, one for each state."
             )
         values |= {key: [tuple(row) if isinstance(row, list) else row for row in values[key]]} if key in values else {}
-    s = s.having(**{key: tuple(values[key]) for key in (*SIZES, "delay_sine", "headline") if key in values})
+    s = s.with_fields(**{key: tuple(values[key]) for key in (*SIZES, "delay_sine", "headline") if key in values})
     if is_new:
-        s = with_defaults(s, sizes["n"], sizes["s"], len(entry.errors)).having(
+        s = with_defaults(s, sizes["n"], sizes["s"], len(entry.errors)).with_fields(
             steady_start=round(0.3 * s.duration / s.dt) * s.dt
         )
-        s = s if "controller" in values or "input" in values else s.having(input="sine")
+        s = s if "controller" in values or "input" in values else s.with_fields(input="sine")
         linear = ("kf", "model-only") if entry.model is None or entry.residual is not None else ()
         observers = linear if entry.model is None else ("ekf", *linear)
         s = s if "observers" in values else s._replace(observers=observers)
     s = _resolve_axis_fields(s, values, sizes["q"], where)
-    s = s.having(**{key: values[key] for key in UNCHECKED_KEYS if key in values})
+    s = s.with_fields(**{key: values[key] for key in UNCHECKED_KEYS if key in values})
     if "noise_correlation" in values:
-        s = s.having(noise_correlation=tuple(map(tuple, values["noise_correlation"])))
+        s = s.with_fields(noise_correlation=tuple(map(tuple, values["noise_correlation"])))
     if (limit := values.get("divergence_threshold")) is not None:
-        s = s.having(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
+        s = s.with_fields(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
     s = _driven(s, values, model.B.shape[1], where, plugins)
     _require_fit(s, sizes, where)
     return s
@@ -110,7 +110,7 @@ def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenar
     extra = (*size, *(1.0,) * errors)
     defaults = zip((*prior, *extra), (*distance, *extra), strict=False)
     band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in defaults)
-    return s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
+    return s.with_fields(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
 
 
 def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
@@ -151,7 +151,7 @@ def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, 
             f"{where}.plant: got 'lti', expected a plant with its own equations; write the table [lti] for a linear plant."
         )
     if plugin := plugins.get(plant):
-        s = s._replace(plant=plugin.code.name, own={**s.own, "plant": plugin})
+        s = s._replace(plant=plugin.code.name, user_code={**s.user_code, "plant": plugin})
     elif plant not in valid:
         raise unknown(f"{where}.plant", "plant (or MODULE:NAME)", plant, valid)
     else:
@@ -171,19 +171,19 @@ def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, 
                     f"{where}.{table}.{name}: got {brief_repr(value)}, expected a value such as {brief_repr(default)}."
                 )
             numbers[name] = value
-        s = s.having(**{table: numbers}) if table in values else s
+        s = s.with_fields(**{table: numbers}) if table in values else s
     for key, signals in (("signals", entry.signals), ("unknowns", entry.unknowns)):
         if texts := values.get(key):
             if len(texts) != len(signals):
                 raise UserError(f"{where}.{key}: got {len(texts)} names, expected {len(signals)}.")
-            s = s.having(**{key: names_and_units(texts, f"{where}.{key}")})
+            s = s.with_fields(**{key: names_and_units(texts, f"{where}.{key}")})
     return s
 
 
 def _resolve_axis_fields(s: Scenario, values: TomlTable, q: int, where: str) -> Scenario:
     """Return the scenario with the axes' fields in the form of an axis: whole ticks, one value per output."""
     if len(s.sampling.delay) != q:
-        s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
+        s = s.with_fields(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
     has_new_ticks = "dt" in values or "duration" in values  # times of a base may not fit the new ticks
     for key in (name for name in axes.AXES if name not in axes.STATES):
         if key in values or (has_new_ticks and s.value(key) is not None):
@@ -191,7 +191,7 @@ def _resolve_axis_fields(s: Scenario, values: TomlTable, q: int, where: str) -> 
                 key, axes.plain(key, s.value(key), as_list=True) if key not in axes.LISTS else s.value(key)
             )
             entry = INTERVAL if entry == [None] * q else entry
-            s = s.having(**{key: axes.point(key, entry, s, f"{where}.{key}")})
+            s = s.with_fields(**{key: axes.point(key, entry, s, f"{where}.{key}")})
     return s
 
 
@@ -201,12 +201,12 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
     loop = {key: values[key] for key in ("input", "controller", "control") if key in values}
     if plugin := plugins.get(loop.get("controller", "")):
         loop["controller"] = plugin.code.name
-        s = s._replace(own={**s.own, "controller": plugin})
-    s = s.having(**loop)
+        s = s._replace(user_code={**s.user_code, "controller": plugin})
+    s = s.with_fields(**loop)
     if loop.get("input") and s.loop.controller and "controller" not in loop:
-        s = s.having(controller="", control={})  # an input replaces the controller of a base
+        s = s.with_fields(controller="", control={})  # an input replaces the controller of a base
     elif loop.get("controller") and "input" not in loop:
-        s = s.having(input="")
+        s = s.with_fields(input="")
     if bool(s.loop.input) == bool(s.loop.controller):
         raise UserError(
             f"{where}: got {'an input and a controller' if s.loop.input else 'neither an input nor a controller'}, expected "
@@ -216,7 +216,7 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
         _require_controller(s, entry, where)
     elif not isinstance(s.loop.input, tuple):  # from the base
         signals = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
-        s = s if isinstance(s.loop.input, str) else s.having(input=signals)
+        s = s if isinstance(s.loop.input, str) else s.with_fields(input=signals)
     for key in axes.COMMANDS:
         if value := values.get(key):
             if key not in axes.axes_of(s):
@@ -224,10 +224,10 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
                     f"{where}.{key}: got {brief_repr(value)} where no controller for any plant gives commands, expected none; "
                     "leave it out."
                 )
-            s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
+            s = s.with_fields(**{key: axes.point(key, value, s, f"{where}.{key}")})
     unknown_input = values.get("unknown_input")
     if unknown_input == "":
-        return s.having(unknown_input="")
+        return s.with_fields(unknown_input="")
     if unknown_input:
         place = f"{where}.unknown_input"
         if "unknown_input" not in entry.numbers._fields:
@@ -236,14 +236,14 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
             )
         n_unknowns = len(estimated_of(s)) - len(states_of(s))
         signals = sources(unknown_input, n_unknowns, SINGLE, horizon, "unknown inputs", place)
-        s = s.having(unknown_input=unknown_input if isinstance(unknown_input, str) else signals)
+        s = s.with_fields(unknown_input=unknown_input if isinstance(unknown_input, str) else signals)
     return s
 
 
 def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     """Raise UserError for a controller that is unknown or unsupported by the plant, and for invalid options."""
     name, control = s.loop.controller, dict(s.loop.control)
-    if name not in CONTROLLERS and "controller" not in s.own:
+    if name not in CONTROLLERS and "controller" not in s.user_code:
         raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
     if name == "pd" and entry.inverse is None:
         plants = ", ".join(p for p, plant in PLANTS.items() if plant.inverse)

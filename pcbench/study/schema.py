@@ -150,7 +150,7 @@ class Study(BaseModel):
     tuning: str | list[str] = Field("published", description="gains: " + ", ".join(TUNINGS) + ", or a list of these")
     tune: Tune = Tune()
     # user-defined objects once the study is read: observers by label, plants and controllers by MODULE:NAME
-    _own: dict[str, UserPlugin] = PrivateAttr({})
+    _user_observers: dict[str, UserPlugin] = PrivateAttr({})
 
     @field_validator("tuning", mode="before")
     @classmethod

@@ -118,7 +118,7 @@ def sensors(s: Scenario) -> Iterator[Scenario]:
     rows = ((name, s.value(name)) for name in fields.names(rows=True))
     lists |= {name: value for name, value in rows if has_rows(value)}
     for values in dict.fromkeys(zip(*lists.values(), strict=True)):
-        yield s.having(**dict(zip(lists, values, strict=True)))
+        yield s.with_fields(**dict(zip(lists, values, strict=True)))
     if not lists:
         yield s
 

@@ -97,7 +97,7 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
     rows = [model.C]
     for _ in range(n):
         rows.append(rows[-1] @ model.A)
-    known_part = "a known function of the state among its unknown inputs" if model.known is not None else ""
+    known_part = "a known function of the state among its unknown inputs" if model.nonlinearity is not None else ""
     problem = (
         ("a discrete plant" if model.discrete else "")
         or (f"{len(model.C)} outputs" if len(model.C) != 1 else "")

@@ -45,7 +45,7 @@ class Link(NamedTuple):
     """One link over d samples; n states, q outputs. A link with d = 0 passes its inputs on, and its gains are 0."""
 
     d: int
-    seen: Matrix  # [q] 1: the sample of the source has arrived; 0: it is from the preceding link
+    has_arrived: Matrix  # [q] 1: the sample of the source has arrived; 0: it is from the preceding link
     F: Matrix  # [n, n]
     K: Matrix  # [n, q]
     V: Matrix  # [q, q]
@@ -126,7 +126,7 @@ def sample_map(chain: list[Link], C: Matrix) -> Matrix:
             continue
         selector = np.zeros((n, n * blocks))
         selector[:, n * (source - 1) : n * source] = np.eye(n)
-        miss = (1 - link.seen)[:, None] * eps
+        miss = (1 - link.has_arrived)[:, None] * eps
         J[n * stamp : n * (stamp + 1)] = link.F @ selector + link.K @ miss
         eps = link.W @ selector + link.V @ miss
     return J
@@ -172,10 +172,10 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     """Return Phi_ij [n, n] of every link i with d > 0, for each link j before it."""
     real, out = [link for link in chain if link.d], []
     for i, link in enumerate(real):
-        path, row = link.K * (1 - link.seen), []
+        path, row = link.K * (1 - link.has_arrived), []
         for before in real[i + 1 :]:
             row.append(path @ before.W)
-            path = path @ before.V * (1 - before.seen)
+            path = path @ before.V * (1 - before.has_arrived)
         out.append(row)
     return out
 

@@ -143,7 +143,7 @@ def test_a_law_that_looks_at_what_is_on_its_way_is_not_linearised():
 
 def test_a_scenario_whose_loop_it_closes_keeps_its_options_and_its_network():
     mine = own()
-    closed = trial(mine, gain=3.0).scenario.having(actuator_delay=0.02, command_loss=0.1)
+    closed = trial(mine, gain=3.0).scenario.with_fields(actuator_delay=0.02, command_loss=0.1)
     again, why = controller.trial("pull", mine, closed, {"period": 0.01})
     assert why == "gain = 3.0, period = 0.01"
     assert (again.context.late, again.scenario.loop.command_loss) == (20, 0.1)

@@ -89,7 +89,7 @@ def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(
 
 def in_lqr(entry, **changes):
     s = parse.grid_of(study(LQR, **SHORT), {}, []).cells[0].scenario
-    return observer.closed_loop(Candidate("mine", entry, mine.Options()), s.having(**changes))
+    return observer.closed_loop(Candidate("mine", entry, mine.Options()), s.with_fields(**changes))
 
 
 @pytest.mark.ci

@@ -83,7 +83,9 @@ class Page(HTMLParser):
 def test_a_table_prints_cells_heads_and_titles_as_text():
     out = io.StringIO()
     console = Screen(file=out, width=400)
-    console.fit("[bold]title", [Column("[u]head", [*LABELS, UNPRINTABLE, ":smile:"], left=True, bold=frozenset({1}))])
+    console.fit(
+        "[bold]title", [Column("[u]head", [*LABELS, UNPRINTABLE, ":smile:"], is_text=True, bold=frozenset({1}))]
+    )
     console.print("[/b]", style="bold")
     assert all(each in out.getvalue() for each in (*LABELS, "[bold]title", "[u]head", "[/b]", ":smile:"))
     assert is_plain(out.getvalue())
@@ -92,7 +94,7 @@ def test_a_table_prints_cells_heads_and_titles_as_text():
 def test_a_table_for_a_terminal_has_no_codes_but_those_of_its_styles():
     out = io.StringIO()
     console = Screen(file=out, width=400, force_terminal=True)
-    console.fit("title", [Column("observer", [*LABELS, UNPRINTABLE], left=True, bold=frozenset({0, 10}))])
+    console.fit("title", [Column("observer", [*LABELS, UNPRINTABLE], is_text=True, bold=frozenset({0, 10}))])
     lists.print_in_full("name", {"summary": UNPRINTABLE, "source": "[link=//x]y"}, console)
     without = re.sub(r"\x1b\[[\d;]*m", "", out.getvalue())
     assert is_plain(without.replace("\n", ""))

@@ -213,8 +213,10 @@ def tuning_table(screen):
     judged = [SimpleNamespace(seeds=s, what=w, start_se=0.5, tuned_se=0.4, difference_se=0.1, diverged=(3, 0), **numbers)
               for s, w in (("2000:2064", "training"), ("100000:100256", "validation"))]  # fmt: skip
     aim = SimpleNamespace(metric="steady_rmse", base="steady_rmse", name="angular_velocity")
-    found = SimpleNamespace(objective=aim, judged=judged, exact=False, certified=None, points=[1] * 40, method="CMA-ES")
-    found.found, found.start, found.kept_start = {"q": 0.123456789}, {"q": [1.5, 2.5]}, ""
+    found = SimpleNamespace(
+        objective=aim, judgements=judged, exact=False, certified=None, points=[1] * 40, method="CMA-ES"
+    )
+    found.best, found.start, found.kept_start = {"q": 0.123456789}, {"q": [1.5, 2.5]}, ""
     gains.print_tuning(found, "kf-shifted-innovation", None, screen)
     return [*numbers.values(), 0.123457]
 
@@ -293,7 +295,7 @@ cells = st.one_of(st.floats(-1e9, 1e9).map(lambda v: f"{v:.7g}"), st.from_regex(
 
 @given(st.data(), st.integers(1, 5), st.integers(1, 9), st.sampled_from([40, *WIDTHS]))
 def test_no_word_of_any_table_is_cut(data, rows, many, width):
-    columns = [Column("observer", data.draw(st.lists(cells, min_size=rows, max_size=rows)), left=True)]
+    columns = [Column("observer", data.draw(st.lists(cells, min_size=rows, max_size=rows)), is_text=True)]
     for i in range(many):
         texts = data.draw(st.lists(cells, min_size=rows, max_size=rows))
         columns.append(
@@ -308,7 +310,9 @@ def test_no_word_of_any_table_is_cut(data, rows, many, width):
 def test_word_of_prose_is_not_cut_where_room_is_scarce(width):
     """The words of a row need 67 columns; in a narrower terminal it is a block."""
     screen = Recorder(width, False)
-    screen.fit("a title", [Column("observer", ["n" * 30], left=True), Column("reason", ["at " + "w" * 34], prose=True)])
+    screen.fit(
+        "a title", [Column("observer", ["n" * 30], is_text=True), Column("reason", ["at " + "w" * 34], prose=True)]
+    )
     require_whole(screen)
     assert ("observer: n" in screen.text) == (width < 67)
 
@@ -316,7 +320,7 @@ def test_word_of_prose_is_not_cut_where_room_is_scarce(width):
 def test_cut_number_is_found():
     """The measure itself: a table without its last digit does not pass."""
     screen = Recorder(80, False)
-    screen.fit("a title", [Column("observer", ["kf"], left=True), Column("rmse", ["0.013245"])])
+    screen.fit("a title", [Column("observer", ["kf"], is_text=True), Column("rmse", ["0.013245"])])
     require_whole(screen)
     require_numbers(screen, [0.013245])
     text = screen.file.getvalue().replace("0.013245", "0.01324")

@@ -379,7 +379,7 @@ def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
 def test_a_table_without_room_goes_on_below_and_cuts_no_number(width):
     """Every cell is printed whole; the first columns of text are in each part, and no line is wider than the terminal."""
     names = ["kf", "ekf-iterated"]
-    columns = [Column("observer", names, left=True)]
+    columns = [Column("observer", names, is_text=True)]
     columns += [Column(f"head {i}", [f"{i}.{i}{row}25" for row in (1, 2)]) for i in range(8)]
     screen = Screen(width=width, file=io.StringIO())
     assert screen.fit("a title", columns, [1, 1]) == []

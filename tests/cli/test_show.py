@@ -23,7 +23,7 @@ def test_a_scenario_printed_as_a_study_is_the_scenario(name):
     (own,) = grid.cells_of(found)
     assert own.scenario.name == "my-" + name.replace("/", "-")
     published = cell_of(SCENARIOS[name], parameters=dict(SCENARIOS[name].truth.parameters))
-    assert identity(own._replace(scenario=own.scenario.having(name=name)), 0) == identity(published, 0)
+    assert identity(own._replace(scenario=own.scenario.with_fields(name=name)), 0) == identity(published, 0)
 
 
 @pytest.mark.ci
@@ -38,7 +38,7 @@ def test_what_stands_there_as_a_comment_is_a_value_that_changes_nothing(name):
 
 def test_a_tail_is_said_even_where_it_is_the_records_default():
     """Left out of a table, it would begin after 30 % of the horizon."""
-    assert "\nsteady_start = 3.0" in scenario_template.as_study(SCENARIOS["cart/white"].having(duration=20.0))
+    assert "\nsteady_start = 3.0" in scenario_template.as_study(SCENARIOS["cart/white"].with_fields(duration=20.0))
 
 
 @pytest.mark.nightly  # by default its identity is enough: equal in every field that a number depends on

@@ -88,10 +88,10 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
             ("held_out", "held_out_se", "rms_efficiency", "training", "training_se", "gap", "gap_se"), NAN
         )
         found = SimpleNamespace(
-            judged=[],
+            judgements=[],
             points=[],
             method="search",
-            found={},
+            best={},
             kept_start="",
             exact=False,
             objective=SimpleNamespace(metric="mae", base="mae", name="x"),

@@ -134,7 +134,7 @@ def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_pa
     pcbench.run(STUDY | {"engine": "definition", "seeds": 3}, out=first, first_seed=2, block_size=2)
     pcbench.run(STUDY | {"engine": "steps", "seeds": 6}, out=second)
     report = merge.merge([first, second], tmp_path / "both")
-    assert (report.doubled, report.missing) == (3, 0)
+    assert (report.duplicates, report.missing) == (3, 0)
     both = pcbench.open_result(tmp_path / "both")
     assert both.provenance["engines"] == ["definition", "steps"]
     mine, a, b = kept(tmp_path / "both"), kept(first), kept(second)

@@ -26,7 +26,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     pcbench.run(STUDY, out=a, seeds=25, block_size=16)
     pcbench.run(STUDY, out=b, seeds=24, first_seed=16, block_size=10)
     made = merge.merge([b, a], tmp_path / "both")
-    assert (made.missing, made.doubled) == (0, 2 * 2 * 9)
+    assert (made.missing, made.duplicates) == (0, 2 * 2 * 9)
     same(tmp_path / "both", whole)
     named = manifest.load_manifest(storage.target(tmp_path / "both")).study
     assert (named.first_seed, named.seeds) == (0, 40)

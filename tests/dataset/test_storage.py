@@ -68,7 +68,7 @@ def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
     pd.testing.assert_frame_equal(here.stats, there.stats)
     assert verify.status(s3("far")).closed
     assert not verify.verify(s3("far"), None, 0).differing
-    assert merge.merge([s3("far"), tmp_path / "out"], s3("both")).doubled == 6
+    assert merge.merge([s3("far"), tmp_path / "out"], s3("both")).duplicates == 6
 
 
 def test_equal_tables_give_equal_bytes():

@@ -179,7 +179,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     from pcbench.scenarios import SCENARIOS
     from pcbench.study.grid import cell_of
 
-    s = SCENARIOS["cart/slow"].having(divergence_threshold=20.0)
+    s = SCENARIOS["cart/slow"].with_fields(divergence_threshold=20.0)
     options = {
         "kfbo": study.options_of(
             parse.parse(

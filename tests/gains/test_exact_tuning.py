@@ -164,14 +164,14 @@ def test_an_observer_that_is_not_affine_is_tuned_on_runs():
 def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
     how = {"objective": "steady_pooled_rmse", "signal": "b", "exact": True}
     found = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
-    (judged,) = found.judged
+    (judged,) = found.judgements
     assert (judged.what, judged.seeds.many, judged.tuned_se) == ("exact", 0, 0)
     assert judged.tuned < 0.99 * judged.start
     stats = pcbench.exact_moments(tmp_path / "out" / "tuned.toml").stats
     row = stats.query("signal == 'b' and metric == 'steady_mse'")
     assert row["mean"].item() == pytest.approx(judged.tuned, rel=1e-12)
     again = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
-    assert again.found == found.found
+    assert again.best == found.best
     assert again.exact
     with pytest.raises(UserError, match="holds another tuning"):
         pcbench.tune(STUDY, "pccebo", budget=3, out=tmp_path / "out", **how | {"exact": False})

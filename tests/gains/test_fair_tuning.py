@@ -35,8 +35,8 @@ def brute_force(grid):
 def test_tuned_pccebo_comes_within_ten_percent_of_the_best_fixed_gain():
     least, L = brute_force([(a, b) for a in np.linspace(0.1, 1.0, 19) for b in (-80.0, -40.0, -10.0, 0.0, 20.0)])
     found = pcbench.tune("cart/gaussian", "pccebo", objective="steady_rmse", budget=30, **HALF)
-    assert found.judged[0].tuned <= 1.1 * least, (found.found, L)
-    assert found.judged[0].start > 1.5 * least, "there was something to find"
+    assert found.judgements[0].tuned <= 1.1 * least, (found.best, L)
+    assert found.judgements[0].start > 1.5 * least, "there was something to find"
     assert not found.kept_start
 
 
@@ -44,13 +44,13 @@ def test_pi_pco_finds_the_sign_rule_by_itself():
     """Kp < 0 smooths, Kp > 0 amplifies noise, and where the model is exact the integral only hurts."""
     wrong = ["options.pi-pco.Kp=40.0", "options.pi-pco.Ki=12.0"]
     found = pcbench.tune("cart/variable", "pi-pco", objective="steady_rmse", overrides=wrong, **HALF)
-    assert found.found["Kp"] < -40
-    assert abs(found.found["Ki"]) < 0.5
-    assert found.judged[1].tuned < 0.5 * found.judged[1].start
+    assert found.best["Kp"] < -40
+    assert abs(found.best["Ki"]) < 0.5
+    assert found.judgements[1].tuned < 0.5 * found.judgements[1].start
 
 
 @pytest.mark.parametrize("observer", ["kfbo", "kf"])
 def test_tuned_is_not_worse_than_its_start_on_other_draws(observer):
     found = pcbench.tune("cart/gaussian", observer, objective="steady_rmse", budget=15, **HALF)
-    (_, judging) = found.judged
+    (_, judging) = found.judgements
     assert found.kept_start or judging.difference <= 2 * judging.difference_se

@@ -94,7 +94,7 @@ def found_by_noise(monkeypatch, without=()):
         folders.append(out)
         if std in without:
             raise tune.NoStart("none")
-        return SimpleNamespace(kept_start="", found={"R": 100 * std})
+        return SimpleNamespace(kept_start="", best={"R": 100 * std})
 
     monkeypatch.setattr(tune, "tune", found)
     return folders

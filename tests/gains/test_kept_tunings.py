@@ -86,13 +86,13 @@ def test_other_code_or_another_library_is_evaluated(evaluations, monkeypatch):
 
 @pytest.mark.parametrize("name", [history.HISTORY, history.FOUND])
 def test_a_damaged_entry_is_no_entry(evaluations, cache, name):
-    found = once().found
+    found = once().best
     count = len(evaluations)
     (kept,) = (cache / "gains").glob("tuning-*")
     (kept / name).write_bytes(b"damaged")
-    assert once().found == found
+    assert once().best == found
     assert len(evaluations) == 2 * count
-    assert once().found == found
+    assert once().best == found
     assert len(evaluations) == 2 * count
 
 

@@ -136,7 +136,7 @@ def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     again = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
     assert count[0] == 4 + len(whole.points) - 3, "three points were not asked for again"
     assert [p[:3] for p in again.points] == [p[:3] for p in whole.points]
-    assert again.found == whole.found
+    assert again.best == whole.best
     for name in ("tuned.toml",):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     history = pd.read_parquet(tmp_path / "out" / "history.parquet")
@@ -160,7 +160,7 @@ def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
 @pytest.mark.nightly
 def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tmp_path):
     found = pcbench.tune("cart/gaussian", "pccebo", out=tmp_path / "out", **SMALL)
-    (training, judging) = found.judged
+    (training, judging) = found.judgements
     assert training.tuned == pytest.approx(min(p.value for p in found.points), rel=1e-12)
     assert training.start == pytest.approx(found.points[0].value, rel=1e-12)
     result = pcbench.run(tmp_path / "out" / "tuned.toml", seeds=40, first_seed=100)
@@ -259,4 +259,4 @@ def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
         tune.tune(each, "kf", budget=2, training_seeds=(0, 4), validation_seeds=(4, 8), out=tmp_path / "t")
         for each in studies
     )
-    assert (one.found, one.judged) == (two.found, two.judged)
+    assert (one.best, one.judgements) == (two.best, two.judgements)

@@ -106,9 +106,9 @@ def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path)
         only=["R", "Q"],
         training_seeds=seed_range(3_000_000_000, 128),
     )
-    found = np.array(made.found["R"]) / made.found["Q"][2]
+    found = np.array(made.best["R"]) / made.best["Q"][2]
     np.testing.assert_allclose(found, np.array([0.002, 0.5]) ** 2 / 0.05**2, rtol=0.1)
-    assert made.judged[1].difference < -10 * made.judged[1].difference_se
+    assert made.judgements[1].difference < -10 * made.judgements[1].difference_se
 
 
 @pytest.mark.nightly

@@ -132,7 +132,7 @@ def test_run_equals_alone_among_cells_with_outliers_rounding_and_students_noise(
 def test_on_the_arm_with_drift_too(monkeypatch):
     """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
     arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "kf"]
-    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.having(duration=0.5, steady_start=0.25))
+    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.with_fields(duration=0.5, steady_start=0.25))
 
     def found(seeds, devices=2):
         return results(seeds, three, ("arm/sampled",), devices, False, {"parameter_drift": [0.05]})["arm/sampled0"]

@@ -34,7 +34,7 @@ def whitened(A, B, C, h, **keys):
     back = np.linalg.inv(T)
     table = {"A": (back @ A @ T).tolist(), "B": (back @ B).tolist(), "C": (C @ T).tolist(), "tick": h} | keys
     s = Lti.model_validate(table | {"x0": [0.0, 0.0], "prior_std": [1.0, 1.0]}).scenario("loop", "test")
-    return s.having(process_std=(1.0, 1.0)), T
+    return s.with_fields(process_std=(1.0, 1.0)), T
 
 
 # a motor under LQG control whose measurement is late. Source: JitterTime, examples/lqg_dcmotor.m, and separation

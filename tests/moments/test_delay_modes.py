@@ -122,16 +122,16 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
     for seed in range(3):
         drawn = [s for s in random_times.draw_samples([clock], N, 2, 5, seed) if s.channel == 0]
         true = common_times.schedule(random_times.draw_samples([clock], N, 2, 5, seed), N, 2)
-        late = [chain.delays.index(s.arrives - s.taken - clock.delay) for s in drawn]
+        late = [chain.delays.index(s.arrives - s.tick - clock.delay) for s in drawn]
         for i, s in enumerate(drawn):
             newest = [late[i - j] if i >= j else 0 for j in range(length)]
             mine = each[int(np.ravel_multi_index(newest, [len(chain.delays)] * length))].problem.schedule
-            until = drawn[i + 1].taken if i + 1 < len(drawn) else N + 1
+            until = drawn[i + 1].tick if i + 1 < len(drawn) else N + 1
             slots = max(mine.arrive.shape[1], true.arrive.shape[1])
             for name in common_times.Schedule._fields:
                 if name == "prefilled" or (name == "ticks_since_arrival" and not asked):
                     continue
-                a, b = (getattr(common_times.pad_slots(x, slots), name)[s.taken : until] for x in (mine, true))
+                a, b = (getattr(common_times.pad_slots(x, slots), name)[s.tick : until] for x in (mine, true))
                 if name == "next_event":
                     a, b = np.minimum(a, until), np.minimum(b, until)
                 np.testing.assert_array_equal(a, b, err_msg=name)

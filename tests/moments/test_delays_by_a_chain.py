@@ -34,7 +34,7 @@ def by_impulses(seed, driven):
     """Mean square [3] over ticks 0 .. N-1 of kf's errors on the schedule of one run, and the ages of its samples."""
     clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
     drawn = random_times.draw_samples([clock], N, 2, 0, seed)
-    times = [[(s.taken, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
+    times = [[(s.tick, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
     ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
     return mean_square(times, driven), ages
 

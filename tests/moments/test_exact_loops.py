@@ -95,7 +95,7 @@ def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     checked = validate_exact.check(tmp_path / "runs")
     assert len(checked.rows) == (12 if name == "lqr" else 10)
     assert checked.wrong.empty, checked.verdict
-    assert not checked.refused
+    assert not checked.refusals
 
 
 @pytest.mark.ci

@@ -30,7 +30,7 @@ def arm(z, u):
 )
 def test_on_the_arm_it_equals_the_reference(period, delay):
     base = SCENARIOS["arm/sampled"]
-    s = base.having(duration=SECONDS, steady_start=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
+    s = base.with_fields(duration=SECONDS, steady_start=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
     (p,) = padding.fit([planning.draft(cell_of(s), {"ekf": options})])
@@ -48,7 +48,7 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
 
 def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
     """The noise of a tick: what is added to the states, and of what is unknown its size squared, walk a second."""
-    s = SCENARIOS["arm/sampled"].having(
+    s = SCENARIOS["arm/sampled"].with_fields(
         duration=0.1, steady_start=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3)
     )
     gains = ekf.design(planning.context_of(cell_of(s)), ekf.Options(walk=0.5)).gains

@@ -115,7 +115,7 @@ def test_on_a_linear_model_the_extended_filter_believes_what_kalmans_does(schedu
 
 @pytest.mark.ci
 def test_on_the_arm_the_extended_filter_believes_and_expects_what_the_reference_does():
-    s = SCENARIOS["arm/sampled"].having(duration=0.07, steady_start=0.03, noise_std=(1e-3, 2e-3))
+    s = SCENARIOS["arm/sampled"].with_fields(duration=0.07, steady_start=0.03, noise_std=(1e-3, 2e-3))
     known, N = planning.context_of(cell_of(s)), 70
     u, rng = np.random.default_rng(3).normal(size=(N + 1, 1)) * 4, np.random.default_rng(4)
     times = [(taken, taken + 12) for taken in range(0, N - 12, 9)]

@@ -244,7 +244,7 @@ def test_a_particle_that_overflows_gets_weight_zero():
     np.testing.assert_allclose(particle.mean(gains, after), others.mean(0), rtol=1e-12)
     np.testing.assert_allclose(particle.spread(gains, after), np.cov(others.T, bias=True), rtol=1e-10, atol=1e-14)
     value, age = jnp.array([0.4, 0.1]), jnp.asarray(0)
-    arrival = Measurement(taken=age, mask=jnp.array([True, True]), value=value, snapshot=jnp.zeros(0))
+    arrival = Measurement(tick=age, mask=jnp.array([True, True]), value=value, snapshot=jnp.zeros(0))
     assert np.isfinite(particle.mean(gains, particle.update(gains, now, after, arrival))).all()
 
 
@@ -260,7 +260,7 @@ def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis(valu
         return jnp.where(x[0] == state.x[3, 0], value, sensor(now, x, p))
 
     sample = Measurement(
-        taken=now.tick, mask=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), snapshot=jnp.zeros(0)
+        tick=now.tick, mask=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), snapshot=jnp.zeros(0)
     )
     found = particle.innovation_of_cloud(gains._replace(sensor=partial), now, state, sample)
     off = jnp.where(jnp.arange(8) == 3, -jnp.inf, -jnp.log(7.0))

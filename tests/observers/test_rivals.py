@@ -100,7 +100,7 @@ def test_the_worked_trajectories_come_out(label, k, printed):
 def test_aligned_starts_perfectly_until_rounding_has_grown():
     start = list(START["tank"])
     s = SCENARIOS["csth/10s"]
-    SCENARIOS["perfect"] = s.having(name="perfect", xhat0=tuple(start))
+    SCENARIOS["perfect"] = s.with_fields(name="perfect", xhat0=tuple(start))
     try:
         d = pcbench.simulate("perfect", "no-delay")
     finally:
@@ -112,7 +112,7 @@ def test_aligned_starts_perfectly_until_rounding_has_grown():
 @pytest.mark.ci
 def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
     s = SCENARIOS["csth/10s"]
-    SCENARIOS["perfect"] = s.having(name="perfect", xhat0=s.truth.x0, delay=(20.0,) * 3, options=LABELS)
+    SCENARIOS["perfect"] = s.with_fields(name="perfect", xhat0=s.truth.x0, delay=(20.0,) * 3, options=LABELS)
     try:
         d = pcbench.simulate("perfect", ["equal-delay", "equal-delay-one"])
     finally:

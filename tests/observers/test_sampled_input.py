@@ -37,8 +37,8 @@ VARIANTS = {
 
 def planned(te, d, option=None, others=None, **changes):
     """A cell of arm/sampled, its finders with an option; all of one shape, that of a drifting plant with room for any delay."""
-    s = SCENARIOS["arm/sampled"].having(duration=TICKS * TICK, steady_start=TICKS * TICK / 2, noise_std=(0.0, 0.0))
-    s = s.having(sampling_period=(te * TICK,) * 2, delay=(d * TICK,) * 2, **changes)
+    s = SCENARIOS["arm/sampled"].with_fields(duration=TICKS * TICK, steady_start=TICKS * TICK / 2, noise_std=(0.0, 0.0))
+    s = s.with_fields(sampling_period=(te * TICK,) * 2, delay=(d * TICK,) * 2, **changes)
     given = dict.fromkeys(FINDERS, option or {}) | (others or {})
     options = {o: entry_of(o).options(**{**s.options.get(o, {}), **given.get(o, {})}) for o in OBSERVERS}
     return planning.draft(cell_of(s), options)

@@ -135,7 +135,7 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
     labels = dict(s.options) | {"chain-updated": {"gain": "riccati"}, "chain-companion": {"gain": "companion"}}
-    SCENARIOS["csth/tail"] = s.having(name="csth/tail", steady_start=2000.0, options=labels)
+    SCENARIOS["csth/tail"] = s.with_fields(name="csth/tail", steady_start=2000.0, options=labels)
     names = [*SD, "chain-companion", "equal-delay", "kf"]
     try:
         stats = pcbench.run("csth/tail", observers=names, seeds=512).stats

@@ -65,7 +65,7 @@ ROUNDING = {
 def planned(scenario, observers, dt, ticks):
     """A scenario on ticks of dt seconds, over fewer of them."""
     s = SCENARIOS[scenario]
-    s = s.having(dt=dt, sampling_period=(dt, dt), duration=ticks * dt, steady_start=ticks * dt / 2)
+    s = s.with_fields(dt=dt, sampling_period=(dt, dt), duration=ticks * dt, steady_start=ticks * dt / 2)
     options = {o: entry_of(o).options(**s.options.get(o, {})) for o in observers}
     (p,) = padding.fit([planning.draft(cell_of(s), options)])
     return p

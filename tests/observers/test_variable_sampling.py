@@ -77,7 +77,7 @@ def wild(case, clock, observer, options):
     layout, p = problem(case, {})
     layout = layout._replace(observers=((observer, OBSERVERS[observer].observer),))
     times = [
-        [(s.taken, s.arrives if s.arrives < common_times.NEVER else None) for s in samples if s.channel == j]
+        [(s.tick, s.arrives if s.arrives < common_times.NEVER else None) for s in samples if s.channel == j]
         for j in range(channels)
     ]
     return layout, jax.tree.map(np.asarray, p._replace(schedule=plan, gains={observer: design.gains})), design, times

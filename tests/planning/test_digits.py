@@ -64,7 +64,7 @@ def test_numbers_are_right_as_long_as_a_double_has_digits(tmp_path):
         assert abs(value(stats, "nees")[observer] - 1) < 4 * np.sqrt(2 / 256)
     checked = validate_exact.check(tmp_path / "o")
     assert checked.rows.empty
-    assert all("has too few digits for an exact answer: x1 reaches" in sentence for sentence in checked.refused)
+    assert all("has too few digits for an exact answer: x1 reaches" in sentence for sentence in checked.refusals)
     assert last > 0
 
 

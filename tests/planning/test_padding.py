@@ -68,8 +68,8 @@ def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
 
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
-    arm = SCENARIOS["arm/sampled"].having(duration=3.5, steady_start=1.0, input="zero")
-    cells = [cell_of(arm.having(unknown_input=name)) for name in ("square", "arm-sine")]
+    arm = SCENARIOS["arm/sampled"].with_fields(duration=3.5, steady_start=1.0, input="zero")
+    cells = [cell_of(arm.with_fields(unknown_input=name)) for name in ("square", "arm-sine")]
     square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]
     assert sine.problem.jumps.tolist() == [common_times.NEVER] * 3

@@ -15,7 +15,7 @@ from pcbench.study.schema import Choices
 
 def cell(name, parameters=None, **changes):
     """A scenario with its fields changed, as a cell."""
-    return cell_of(SCENARIOS[name].having(**changes), parameters=parameters)
+    return cell_of(SCENARIOS[name].with_fields(**changes), parameters=parameters)
 
 
 def bound(name, parameters=None, **changes):
@@ -72,7 +72,7 @@ def test_there_is_no_bound_where_observers_cannot_know_what_moves_the_plant(what
 
 def test_a_start_drawn_from_a_box_has_no_bound():
     """The runs' starts are uniform, so a bound for normal ones is none; a start that is not drawn leaves the bound as it is."""
-    boxed = SCENARIOS["cart/white"].having(initial_box=(0.5, 0.5))
+    boxed = SCENARIOS["cart/white"].with_fields(initial_box=(0.5, 0.5))
     found = {}
     for drawn in (True, False):
         one = cell_of(boxed, choices=Choices(random_initial_state=drawn))

@@ -98,7 +98,7 @@ def test_the_schedule_is_that_of_a_processor_that_computes_one_sample_at_a_time(
     samples = common_times.samples(times.clocks, ticks)
     want = [s for s in reference.used(w, delay, period, phase, ticks) if s[2] <= ticks]
     for channel in (0, 1):
-        assert [(s.number, s.taken, s.arrives) for s in samples if s.channel == channel and s.arrives <= ticks] == want
+        assert [(s.number, s.tick, s.arrives) for s in samples if s.channel == channel and s.arrives <= ticks] == want
     by_loops = common_times.schedule(samples, ticks, 2)
     if times.clocks[0].plain:
         for a, b in zip(common_times.plain_clock(times.clocks[0], ticks, 2)[0], by_loops, strict=True):

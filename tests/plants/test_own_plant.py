@@ -260,8 +260,8 @@ def test_an_lqr_holds_it_upright_by_what_a_delayed_camera_sees(own):
 
 def test_a_scenario_carries_it_without_a_name():
     entry, four, two = pendulum(), (0.1,) * 4, (0.03,) * 2
-    mine = SCENARIOS["cart/white"].having(
-        own={"plant": UserPlugin(entry, Code("mine.py", "pendulum", (), "abc"))},
+    mine = SCENARIOS["cart/white"].with_fields(
+        user_code={"plant": UserPlugin(entry, Code("mine.py", "pendulum", (), "abc"))},
         plant="pendulum",
         x0=four,
         xhat0=four,

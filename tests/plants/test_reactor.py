@@ -117,7 +117,7 @@ def test_tuning_finds_an_extended_filter_that_does_not_fail():
         "name": "tuned",
         "scenarios": ["reactor/batch"],
         "observers": ["ekf"],
-        "options": {"ekf": found.found},
+        "options": {"ekf": found.best},
         "seeds": 64,
     }
     runs = pcbench.run(study, first_seed=200).runs

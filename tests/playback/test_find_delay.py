@@ -73,7 +73,7 @@ def test_estimate_and_interval_are_those_of_a_quadratic_profile(curvature):
     ((one,), said) = delay_search.find(profile)
     assert one.estimate == pytest.approx(0.133, abs=1e-9)
     assert [one.low, one.high] == pytest.approx([0.133 - profile.half(0), 0.133 + profile.half(0)], rel=1e-6)
-    assert (one.at_end, one.searched) == ("", (-0.4, 0.6))
+    assert (one.at_end, one.search_range) == ("", (-0.4, 0.6))
     assert chi2(1).ppf(0.95) == pytest.approx(2 * delay_search.LEVEL)
     assert (
         said

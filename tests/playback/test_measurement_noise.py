@@ -183,9 +183,9 @@ def test_tune_finds_the_factor_of_the_stated_stds(tmp_path):
     tuned, plain = (
         tune_log(log, ALONE, "kf", only=["R"], budget=20) for log in (stated, recording(tmp_path / "plain", samples))
     )
-    np.testing.assert_allclose(tuned.found["R"], 9 * np.array(plain.found["R"]), rtol=1e-3)
-    (sentence,) = [s for s in tuned.said if "multiplied" in s]
-    factor = np.sqrt(np.ravel(tuned.found["R"])[0]) / 0.1
+    np.testing.assert_allclose(tuned.best["R"], 9 * np.array(plain.best["R"]), rtol=1e-3)
+    (sentence,) = [s for s in tuned.notes if "multiplied" in s]
+    factor = np.sqrt(np.ravel(tuned.best["R"])[0]) / 0.1
     assert sentence.endswith(f": y1 {factor:.4g}.")
     assert 2.5 < factor < 3.5
 

@@ -106,7 +106,7 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     z, sd = most_likely(u, y)
     assert [i.name for i in found.intensities] == ["R", "Q"]
     for i, at, wide in zip(found.intensities, z, sd, strict=True):
-        assert np.log(i.found) == pytest.approx(at, abs=1e-3)  # the slope is flat to 1e-6 of a number
+        assert np.log(i.value) == pytest.approx(at, abs=1e-3)  # the slope is flat to 1e-6 of a number
         assert np.log([i.low, i.high]) == pytest.approx([at - 1.96 * wide, at + 1.96 * wide], abs=3e-3)
     at_start = found.points[0]
     assert [at_start.value, *at_start.slope] == pytest.approx(minus_mean(u, y, np.log([0.04, 0.0004])), rel=1e-10)
@@ -114,7 +114,7 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     assert found.gain > 2 * found.gain_se
     assert not found.kept_start
     record = tomllib.loads((tmp_path / "tuned" / "tuned.toml").read_text())
-    assert record["options"]["kf"] == found.found
+    assert record["options"]["kf"] == found.best
     assert record["resolved"]["tuning"]["intensities"][1] == found.intensities[1]._asdict()
     first = pd.read_parquet(tmp_path / "tuned" / "history.parquet").sort_values("objective").iloc[0]
     options = {"R": float(np.exp(first["free.R"])), "Q": [float(np.exp(first["free.Q"]))]}
@@ -187,7 +187,7 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
     )
     assert len(looked) == in_a_piece - 4
     said = json.loads(capsys.readouterr().out)
-    assert said["found"] == whole.found
+    assert said["found"] == whole.best
     assert said["intensities"] == [i._asdict() for i in whole.intensities]
     assert (said["points"], said["gain"], said["kept_start"]) == (len(whole.points), whole.gain, "")
     assert said["held_out"]["tuned"]["nis"] == whole.held_out["tuned"]["nis"]
@@ -253,7 +253,7 @@ def test_filters_for_nonlinear_plants_are_tuned_as_kf_on_a_linear_one(tmp_path, 
     recording(tmp_path / "log", 1, 120)
     want, found = (tune_log(tmp_path / "log", PLANT, name) for name in ("kf", observer))
     for a, b in zip(want.intensities, found.intensities, strict=True):
-        assert [b.found, b.low, b.high] == pytest.approx([a.found, a.low, a.high], rel=1e-4)
+        assert [b.value, b.low, b.high] == pytest.approx([a.value, a.low, a.high], rel=1e-4)
 
 
 @pytest.mark.ci

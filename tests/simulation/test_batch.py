@@ -50,7 +50,7 @@ def outcome(size):
 
 @pytest.mark.parametrize("falls", [[], [2], [2**30]])
 def test_recovery_is_a_metric_where_something_jumps_within_the_horizon(falls):
-    cell = cell_of(SCENARIOS["cart/nominal"].having(duration=0.004, steady_start=0.002))
+    cell = cell_of(SCENARIOS["cart/nominal"].with_fields(duration=0.004, steady_start=0.002))
     p = planning.draft(cell, {})
     p = p._replace(problem=p.problem._replace(jumps=np.array(falls, int)), labels=("mine",))
     p = p._replace(layout=p.layout._replace(observers=(("o", None),)))

@@ -29,7 +29,7 @@ def samples(seed, **given):
     (cell,) = parse.grid_of(having(**given), {}, []).cells
     t = times.times_of(cell.scenario)
     found = random_times.draw_samples(t.clocks, t.ticks, 2, 0, seed)
-    return [[(s.number, s.taken, s.arrives) for s in found if s.channel == j] for j in range(2)]
+    return [[(s.number, s.tick, s.arrives) for s in found if s.channel == j] for j in range(2)]
 
 
 @pytest.mark.ci

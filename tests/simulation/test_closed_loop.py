@@ -126,7 +126,7 @@ def test_fractions_have_wilsons_interval(k, n):
 def short(monkeypatch):
     """The helicopter's scenarios cut to a second."""
     for name in ("helicopter/constant", "helicopter/varying"):
-        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].having(duration=1.0, steady_start=0.5))
+        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].with_fields(duration=1.0, steady_start=0.5))
 
 
 @pytest.mark.nightly

@@ -124,10 +124,10 @@ def expected(clocks, ticks, error, seed):
     noise = np.asarray(noise_of(seed))
     came, on_sample = {}, {}
     for s in found:
-        if s.taken < ticks:
-            on_sample.setdefault(s.taken, []).append(s.channel)
+        if s.tick < ticks:
+            on_sample.setdefault(s.tick, []).append(s.channel)
         if s.arrives < ticks:
-            came.setdefault((s.arrives, s.taken), []).append(s)
+            came.setdefault((s.arrives, s.tick), []).append(s)
     count, ages, indices, digest, values = np.zeros((len(ACCOUNTS), 3))
     order, last, told = 0.0, (0, 0), 0.0
     for taken, channels in sorted(on_sample.items()):
@@ -281,7 +281,7 @@ def test_every_run_has_the_numbers_of_the_reference(block, clock):
     x0, xhat0 = starts(CASE)
     for seed in (0, 33):
         found = samples_of([CLOCKS[clock]], CASE.ticks, 1, seed)
-        times = [(s.taken, None if s.arrives == NEVER else s.arrives) for s in found]
+        times = [(s.tick, None if s.arrives == NEVER else s.arrives) for s in found]
         noise = [CASE.noise_std * np.asarray(noise_of(seed))[0]]
         x, samples = reference.simulate(model, u, x0, [times], noise)
         g = gains_of()

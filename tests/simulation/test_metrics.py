@@ -55,7 +55,7 @@ def test_settling_is_the_last_exit_not_the_first_entry():
     watch, band = metrics.start_watch(1), np.array([1.0])
     for tick, e in enumerate([3.0, 0.2, -2.0, 0.5, 0.1]):
         watch = metrics.look(watch, np.asarray(tick), np.array([e]), band, np.full(1, 10.0), np.zeros(0, int))
-    assert watch.unsettled[0] == 3
+    assert watch.settling_tick[0] == 3
 
 
 def read(e, tail, dt=0.5, band=1.0, bound=10.0, jumps=(), tracking=None):

@@ -32,7 +32,7 @@ def samples(**given):
     every = (
         random_times.draw_samples(t.clocks, t.ticks, 2, 0, 1) if t.random else common_times.samples(t.clocks, t.ticks)
     )
-    return [[(s.number, s.taken, s.arrives) for s in every if s.channel == j] for j in range(2)]
+    return [[(s.number, s.tick, s.arrives) for s in every if s.channel == j] for j in range(2)]
 
 
 @pytest.mark.parametrize("network", [{}, RANDOM, {"delay_sequence": [0.0, 0.6]}], ids=["shared", "random", "in turn"])

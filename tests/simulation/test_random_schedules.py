@@ -56,17 +56,17 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
     q, error = width(clocks), misjudged(data, clocks)
     found = every_sample(clocks, ticks, 0, seed)
     plan = common_times.schedule(realised(clocks, ticks, seed), ticks, q, error)
-    instants = sorted({s.taken for s in found})
-    coming = {(s.arrives, s.taken) for s in found if s.arrives <= ticks}
+    instants = sorted({s.tick for s in found})
+    coming = {(s.arrives, s.tick) for s in found if s.arrives <= ticks}
     slots = plan.arrive.shape[1]
     assert slots == max([1, *Counter(tick for tick, _ in coming).values()])
     last, seen = 0, []
     for k in range(ticks + 1):
-        here = {s.channel: s.number for s in found if s.taken == k}
+        here = {s.channel: s.number for s in found if s.tick == k}
         assert plan.sense[k] == (instants.index(k) if here else -1)
         assert {j: plan.sample[k, j] for j in np.flatnonzero(plan.sample[k] >= 0)} == here
         noted = [int(packet) for packet in (plan.snapshot[k], *plan.extra_snapshots[k]) if packet >= 0]
-        assert noted == sorted({instants.index(s.taken) for s in found if s.taken - error + s.ahead == k})
+        assert noted == sorted({instants.index(s.tick) for s in found if s.tick - error + s.timestamp_error == k})
         oldest_first = sorted(taken for tick, taken in coming if tick == k)
         for slot in range(slots):
             if slot >= len(oldest_first):
@@ -75,7 +75,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
                 continue
             taken = oldest_first[slot]
             assert plan.arrive[k, slot] == instants.index(taken)
-            (late,) = {s.ahead for s in found if s.taken == taken}
+            (late,) = {s.timestamp_error for s in found if s.tick == taken}
             assert plan.timestamp[k, slot] == max(taken - error + late, 0)
             assert plan.ticks_since_arrival[k, slot] == k - last
             seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.mask[k, slot])]
@@ -83,7 +83,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
         assert plan.event[k] == bool(here or oldest_first or plan.snapshot[k] >= 0)
         later = [t for t in range(k + 1, ticks + 1) if plan.event[t]]
         assert plan.next_event[k] == (later[0] if later else ticks + 1)
-    assert sorted(seen) == sorted((s.arrives, s.taken, s.channel, s.number) for s in found if s.arrives <= ticks)
+    assert sorted(seen) == sorted((s.arrives, s.tick, s.channel, s.number) for s in found if s.arrives <= ticks)
 
 
 # what is claimed of every draw
@@ -138,7 +138,7 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
 @given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
-    arriving = {(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}
+    arriving = {(s.tick + s.timestamp_error, s.arrives) for s in found if s.arrives < NEVER}
     assert common_times.overtaking(found) == most_ahead(arriving)
     late = ahead(clocks, 0, seed)
     each = [(taken + late[taken], arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
@@ -281,7 +281,7 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
         rows = packets(clocks, ticks, seed)
         first = {row[0]: i for i, row in reversed(list(enumerate(rows)))}  # the row of each packet
         many, late = len(rows), ahead(clocks, 0, seed)
-        taken, timestamp, number = plan.taken[:, lane], plan.timestamp[:, lane], plan.number[..., lane]
+        taken, timestamp, number = plan.sampling_ticks[:, lane], plan.timestamp[:, lane], plan.number[..., lane]
         assert taken[:many].tolist() == [row[0] if first[row[0]] == i else NEVER for i, row in enumerate(rows)]
         assert timestamp[:many].tolist() == [NEVER if t == NEVER else t + late[t] for t in taken[:many].tolist()]
         assert (taken[many:] > ticks).all()
@@ -402,7 +402,7 @@ def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_ar
 
 def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon():
     """Due at 5, 10.001 and 10.011 s: with a jitter of 1 s the last two may be swapped before the end at 10 s."""
-    scenario = SCENARIOS["cart/variable"].having(sampling_pattern=(5.0, 5.001, 0.01), sampling_jitter=1.0)
+    scenario = SCENARIOS["cart/variable"].with_fields(sampling_pattern=(5.0, 5.001, 0.01), sampling_jitter=1.0)
     with pytest.raises(UserError, match=r"intervals down to 0\.01 s"):
         fits.fits(scenario, "here")
-    fits.fits(scenario.having(sampling_jitter=0.004), "here")
+    fits.fits(scenario.with_fields(sampling_jitter=0.004), "here")

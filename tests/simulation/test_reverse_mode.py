@@ -41,7 +41,7 @@ def planned(scenario, observers):
     study = parse.grid_of(scenario, {"observers": list(observers)}, []).study
     cell = grid.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
-    cell = cell.having(duration=horizon, steady_start=tail)
+    cell = cell.with_fields(duration=horizon, steady_start=tail)
     (p,) = padding.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 

@@ -52,7 +52,7 @@ def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data,
     late = data.draw(st.lists(st.integers(0, 20), min_size=len(taken), max_size=len(taken)))
     samples = [Sample(0, i, t, t + d) for i, (t, d) in enumerate(zip(sorted(taken), late, strict=True))]
     plan = schedule(samples, ticks, 1)
-    assert set(arrivals(plan)) == {(s.arrives, 0, s.number, s.taken) for s in samples if s.arrives <= ticks}
+    assert set(arrivals(plan)) == {(s.arrives, 0, s.number, s.tick) for s in samples if s.arrives <= ticks}
     for tick in range(ticks + 1):
         taken = [taken_of(plan, tick, slot) for slot in np.flatnonzero(plan.arrive[tick] >= 0)]
         assert (np.diff(taken) > 0).all()
@@ -94,19 +94,19 @@ def test_samples_are_believed_and_noted_so_much_earlier_but_never_before_tick_0(
     samples = [Sample(0, i, t, max(t, 0) + d) for i, (t, d) in enumerate(zip(sorted(taken), late, strict=True))]
     plan, packets = schedule(samples, ticks, 1, error), {}
     for s in samples:
-        if s.taken <= ticks:
-            packets[s.taken] = len(packets)
+        if s.tick <= ticks:
+            packets[s.tick] = len(packets)
     timestamp = {
         (tick, int(plan.arrive[tick, slot])): int(plan.timestamp[tick, slot])
         for tick, slot in zip(*np.nonzero(plan.arrive >= 0), strict=True)
     }
-    inside = [s for s in samples if s.taken <= ticks]
-    assert timestamp == {(s.arrives, packets[s.taken]): max(s.taken - error, 0) for s in inside if s.arrives <= ticks}
-    noted = {s.taken - error: packets[s.taken] for s in inside if 0 <= s.taken - error <= ticks}
+    inside = [s for s in samples if s.tick <= ticks]
+    assert timestamp == {(s.arrives, packets[s.tick]): max(s.tick - error, 0) for s in inside if s.arrives <= ticks}
+    noted = {s.tick - error: packets[s.tick] for s in inside if 0 <= s.tick - error <= ticks}
     assert {k: int(plan.snapshot[k]) for k in range(ticks + 1) if plan.snapshot[k] >= 0} == noted
-    sensed = {s.taken: packets[s.taken] for s in inside if s.taken >= 0}
+    sensed = {s.tick: packets[s.tick] for s in inside if s.tick >= 0}
     assert {k: int(plan.sense[k]) for k in range(ticks + 1) if plan.sense[k] >= 0} == sensed
-    assert plan.early.ravel().tolist() == [s.number for s in inside if s.taken < 0]
+    assert plan.early.ravel().tolist() == [s.number for s in inside if s.tick < 0]
 
 
 def test_padding_adds_only_empty_slots():
@@ -135,7 +135,7 @@ def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period
     for name, a, b in zip(common_times.Schedule._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name, strict=True)
     assert many == in_flight(slow)
-    times = sorted((s.arrives, s.taken, s.channel) for s in each)
+    times = sorted((s.arrives, s.tick, s.channel) for s in each)
     assert sorted(map(tuple, common_times.times_of_samples([clock], ticks).tolist())) == times
     assert sorted(map(tuple, common_times.times_of_samples([in_turn], ticks).tolist())) == times
 

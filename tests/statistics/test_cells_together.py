@@ -38,7 +38,7 @@ def test_cells_together_have_the_bits_of_each_alone(seed, many, n, told):
         for o, d in described.items():
             assert d.names == want[o].names
             np.testing.assert_array_equal(d.n, want[o].n)
-            np.testing.assert_array_equal(d.shown[i], want[o].shown[0])
+            np.testing.assert_array_equal(d.exists[i], want[o].exists[0])
             assert d.values[i].tobytes() == want[o].values[0].tobytes()
         for pair, j in judged.items():
             assert (j.names, j.n) == (pairs[pair].names, pairs[pair].n)

@@ -53,7 +53,7 @@ def test_a_value_for_each_channel_is_as_many_as_there_are_channels():
 
 def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():
     assert times.clocks(TANK) == [Clock((j,), 1, d) for j, d in enumerate((2, 5, 7))]
-    mixed = TANK.having(
+    mixed = TANK.with_fields(
         delay=(20.0, 50.0, 20.0), sampling_jitter=10.0, delay_jitter=30.0, loss=0.2, sampling_pattern=(10.0, 30.0)
     )
     rest = ((1, 3), 1, 3, 0.2)
@@ -66,19 +66,19 @@ def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():
 def test_commands_are_as_late_as_samples_unless_said_and_swing_with_them():
     t = np.array([0.0, 0.4, 3.0])
     np.testing.assert_allclose(times.actuator_delay(LOOP)(t), 0.03 + 0.015 * np.sin(2 * t), rtol=1e-15)
-    other = LOOP.having(actuator_delay=0.1)
+    other = LOOP.with_fields(actuator_delay=0.1)
     np.testing.assert_allclose(times.actuator_delay(other)(t), 0.1 + 0.015 * np.sin(2 * t), rtol=1e-15)
 
 
 def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
     """Ticks of 1 ms: the least delay of 0.6 ms is taken, one of 0.4 ms refused."""
-    fits.fits(LOOP.having(actuator_delay=0.0156), "test")
+    fits.fits(LOOP.with_fields(actuator_delay=0.0156), "test")
     for swung in ({"actuator_delay": 0.0154}, {"delay": (0.0154, 0.0154)}):
         with pytest.raises(
             UserError, match=r"expected at least half a tick on the way to the plant.*write at least 0\.016"
         ):
-            fits.fits(LOOP.having(**swung), "test")
-    fits.fits(LOOP.having(actuator_delay=0.03, delay=(0.0152, 0.0152)), "test")
+            fits.fits(LOOP.with_fields(**swung), "test")
+    fits.fits(LOOP.with_fields(actuator_delay=0.03, delay=(0.0152, 0.0152)), "test")
 
 
 @pytest.mark.parametrize(
@@ -93,9 +93,9 @@ def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
     ],
 )
 def test_an_observer_is_given_the_schedules_that_it_takes_and_no_other(observer, takes, refuses):
-    works_on(observer, CART.having(**takes), "test")
+    works_on(observer, CART.with_fields(**takes), "test")
     with pytest.raises(UserError, match=f"test: {observer} in cart/white got .*leave {observer} out"):
-        works_on(observer, CART.having(**refuses), "test")
+        works_on(observer, CART.with_fields(**refuses), "test")
 
 
 def test_a_nonlinear_plant_is_given_to_observers_that_need_no_linear_model():
@@ -108,8 +108,8 @@ def test_a_nonlinear_plant_is_given_to_observers_that_need_no_linear_model():
 def test_one_clock_is_one_period_and_one_delay():
     for changes in ({}, {"delay": (20.0,) * 3, "sampling_period": (10.0, 20.0, 10.0)}):
         with pytest.raises(UserError, match="pccebo in csth/10s got channels that differ"):
-            works_on("pccebo", TANK.having(**changes), "test")
-    works_on("pccebo", TANK.having(delay=(20.0,) * 3), "test")
+            works_on("pccebo", TANK.with_fields(**changes), "test")
+    works_on("pccebo", TANK.with_fields(delay=(20.0,) * 3), "test")
     works_on("kf", TANK, "test")
 
 
@@ -125,4 +125,4 @@ def test_what_measures_at_every_stage_has_no_schedule_and_no_noise():
         {"outage_duration": 1.0},
     ):
         with pytest.raises(UserError, match="measurements are continuous and without noise"):
-            fits.fits(sine.having(**changes), "test")
+            fits.fits(sine.with_fields(**changes), "test")

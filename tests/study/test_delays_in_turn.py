@@ -47,8 +47,8 @@ def of_the_log(taken, late, ticks):
 def test_samples_are_those_of_the_log(tmp_path, horizon):
     taken, late = recorded(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight", duration=horizon), ["kf"], [])
-    found = [s for s in samples_of(cell) if s.taken <= cell.times.ticks]
-    got = [(s.taken, None if s.arrives > NEVER else s.arrives) for s in found]
+    found = [s for s in samples_of(cell) if s.tick <= cell.times.ticks]
+    got = [(s.tick, None if s.arrives > NEVER else s.arrives) for s in found]
     assert got == of_the_log(taken, late, round(horizon / TICK))
     assert not cell.times.random
 
@@ -85,7 +85,7 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
     axes = {"axes": {"delay_sequence": [[0.0, 0.05, "lost"], [0.0]]}}
     grid = parse.grid(MOTOR | {"observers": ["kf"]} | axes, "motor", parse.FROM_HERE)
     assert [cell.values["delay_sequence"] for cell in grid.cells] == ["0, 0.05, lost", "0"]
-    late = [s.arrives - s.taken for s in samples_of(grid.cells[0])][:4]
+    late = [s.arrives - s.tick for s in samples_of(grid.cells[0])][:4]
     assert [v if v < NEVER else None for v in late] == [10, 15, None, 10]
 
 

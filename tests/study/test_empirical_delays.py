@@ -35,7 +35,7 @@ def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
         s for seed in range(12) for s in random_times.draw_samples(cell.times.clocks, cell.times.ticks, 1, 0, seed)
     ]
     lost = np.array([s.arrives >= 2**29 for s in found])
-    ages = np.array([s.arrives - s.taken for s in found])[~lost]
+    ages = np.array([s.arrives - s.tick for s in found])[~lost]
     assert lost.mean() == pytest.approx(0.1, abs=0.015)
     assert set(ages) == set(late)
     for each in set(late):
@@ -155,7 +155,7 @@ def test_delays_of_each_channel_are_drawn_as_in_its_own_recording(tmp_path):
     ]
     recorded = pd.read_csv(tmp_path / "net" / "measurements.csv")
     for channel, mine in recorded.groupby("channel"):
-        ages = np.array([s.arrives - s.taken for s in drawn if s.channel == int(channel[1]) - 1])
+        ages = np.array([s.arrives - s.tick for s in drawn if s.channel == int(channel[1]) - 1])
         there = np.rint((mine.arrived - mine.sampled) / TICK)
         assert set(ages) == set(there)
         for each in set(there):

@@ -68,7 +68,7 @@ def test_cells_that_are_known_keep_their_numbers_and_new_ones_follow():
 
 def test_a_cell_that_is_changed_is_of_no_study():
     (plain,) = cells(study(), "cart/white")
-    changed = plain.having(delay=(0.4,))
+    changed = plain.with_fields(delay=(0.4,))
     assert (changed.digest, changed.times.clocks[0].delay) == ("", 400)
 
 

@@ -52,8 +52,8 @@ def test_cells_are_limited_by_their_number_and_by_all_their_ticks(cells, ticks):
 def test_delays_of_a_gamma_distribution_are_listed_up_to_some_horizons_and_no_further():
     """Of an exponential distribution one sample of 10,000 is later than 9.21 times the mean; a mean of 1e9 s took 67 TiB."""
     scenario = SCENARIOS["cart/white"]
-    s = scenario.having(duration=10.0, delay_gamma_mean=10.8)
+    s = scenario.with_fields(duration=10.0, delay_gamma_mean=10.8)
     fits.fits(s, "test")
     for mean in (10.9, 1e9):
         with pytest.raises(UserError, match=r"expected at most 10 times the duration of 10 s; write a smaller mean"):
-            fits.fits(s.having(delay_gamma_mean=mean), "test")
+            fits.fits(s.with_fields(delay_gamma_mean=mean), "test")

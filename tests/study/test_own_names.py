@@ -41,7 +41,7 @@ def cell(raw):
 @pytest.mark.ci
 def test_a_plant_and_a_law_stand_where_names_of_pcbench_do(here):
     found = cell(STUDY | {"controller": LAW})
-    module = sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"]
+    module = sys.modules[f"mine_{found.scenario.user_code['plant'].code.digest}"]
     assert entry_of(found.scenario) is module.pendulum
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
     assert found.scenario.flat()["code"].keys() == {"plant", "controller"}
@@ -68,7 +68,7 @@ def test_a_scenario_is_read_as_data_with_the_objects_of_its_module(here):
     for raw in ("mine.py:late", {"name": "s", "scenarios": ["mine.py:late"]}):
         found = cell(raw)
         assert (found.scenario.name, found.scenario.belief.prior_std) == ("late", (0.1, 0.1))
-        assert entry_of(found.scenario) is sys.modules[f"mine_{found.scenario.own['plant'].code.digest}"].pendulum
+        assert entry_of(found.scenario) is sys.modules[f"mine_{found.scenario.user_code['plant'].code.digest}"].pendulum
     study = parse.grid_of({"name": "s", "scenarios": ["mine.py:late", "cart/white"], "observers": ["kf"]}, {}, []).study
     assert study.tables["late"].plant == "mine.py:pendulum"
     again = parse.grid_of(study, {}, []).study
@@ -135,7 +135,7 @@ def test_a_planned_cell_takes_plant_and_law_along(here):
     (p,) = plan(parse.grid_of(STUDY | {"controller": LAW}, {}, []).study)
     parcel = serialize.pack(p)
     assert isinstance(parcel, bytes)
-    name = f"mine_{p.cell.scenario.own['plant'].code.digest}"
+    name = f"mine_{p.cell.scenario.user_code['plant'].code.digest}"
     del sys.modules[name]
     (here / "mine.py").unlink()
     back = serialize.unpack(parcel)
@@ -151,7 +151,7 @@ def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     n, m = 2, 1
     model = Model(A=np.zeros((n, n)), B=np.ones((n, m)), C=np.eye(1, n))
     told = ControllerContext(
-        model=model, dt=0.1, ticks=1, rows=1, ahead=0, late=0, states=("a", "b"), delay=lambda t: t
+        model=model, dt=0.1, ticks=1, rows=1, lookahead=0, late=0, states=("a", "b"), delay=lambda t: t
     )
     found = law.entry.linear(law.entry.options(kp=2.0, ki=0.5), told)
     for got, want in zip(found, ([[1.0]], [[0.05, 0.0]], [[-1.0]], [[-2.05, 0.0]]), strict=True):

@@ -29,8 +29,10 @@ OBSERVERS = {
 
 def planned(observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any) -> Plan:
     """Return a scenario with its fields changed, cut to so many seconds."""
-    s = SCENARIOS["helicopter/" + name].having(duration=seconds, steady_start=seconds / 2)
-    s = s.having(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
+    s = SCENARIOS["helicopter/" + name].with_fields(duration=seconds, steady_start=seconds / 2)
+    s = s.with_fields(
+        **{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()}
+    )
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
     (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])

@@ -41,7 +41,7 @@ def summarise(chunks, bounds, signals, sizes):
     described, met = statistics.summary(chunks, bounds, sizes)
     stats = {}
     for label, d in described.items():
-        each = zip(d.names, d.n.tolist(), d.values[0].tolist(), d.shown[0], strict=True)
+        each = zip(d.names, d.n.tolist(), d.values[0].tolist(), d.exists[0], strict=True)
         stats[label] = [
             {"signal": i, "metric": metric, "n": n, "diverged": d.diverged}
             | dict(zip((*statistics.ESTIMATED, *COLUMNS), row, strict=True))

@@ -31,8 +31,8 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
         start = chain.init(gains, jnp.zeros(n))
         ring = len(start.past) - 1
         run = start.run._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
-        heard = tuple(jnp.ones_like(known) for known in start.known)
-        start = start._replace(run=run, known=heard, mask=jnp.ones(3, bool))
+        heard = tuple(jnp.ones_like(known) for known in start.has_arrived)
+        start = start._replace(run=run, has_arrived=heard, mask=jnp.ones(3, bool))
 
         @jax.jit
         def step(errors):
@@ -100,7 +100,7 @@ def test_the_papers_condition_is_reported_with_a_p_that_proves_it(options):
     numbers, links = design.certificate.numbers, design.gains.links
     S = np.diag([0.5, 2e4, 5.0])
     want = [ref.Link(int(a - b), list(m > 0), *each) for a, b, m, *each in zip(
-        links.source, links.stamp, links.seen, links.F, links.K, links.V, links.W, strict=True)][::-1]  # fmt: skip
+        links.source, links.stamp, links.has_arrived, links.F, links.K, links.V, links.W, strict=True)][::-1]  # fmt: skip
     J, ends, worst = ref.jacobian(ref.csth("10s"), want), [2, 5, 7], []
     P, e = numbers["shared_P"], numbers["shared_epsilon"]
     for i, stamp in enumerate([0, 2, 5]):
@@ -117,7 +117,7 @@ def test_the_papers_condition_is_not_needed():
     link = synthesis.Link(
         1, np.array([1.0]), np.array([[0.9]]), np.array([[5.0]]), np.array([[1.0]]), np.array([[3.0]])
     )
-    links = [link._replace(seen=np.array([0.0])), link]
+    links = [link._replace(has_arrived=np.array([0.0])), link]
     assert synthesis.certify(links, np.eye(1), "test").margin == pytest.approx(0.1, abs=1e-6)
     assert synthesis.check(links, np.ones(1))["shared_margin"] <= 0
     loose = [each._replace(K=each.K / 100, W=each.W / 100) for each in links]

@@ -21,8 +21,8 @@ def status(content: Status, folder: str, screen: Screen) -> None:
     shares = content.shares
     percentages = [f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-" for s in shares]
     columns = [
-        Column("scenario", [s.scenario for s in shares], left=True),
-        Column("observer", [mark_uncertified(s.observer, [s.certified]) for s in shares], left=True),
+        Column("scenario", [s.scenario for s in shares], is_text=True),
+        Column("observer", [mark_uncertified(s.observer, [s.certified]) for s in shares], is_text=True),
         Column("grid\npoints", [str(s.cells) for s in shares]),
         Column("blocks", [str(s.blocks) for s in shares]),
         Column("runs", [f"{s.seeds:,}" for s in shares]),
@@ -69,9 +69,9 @@ def against_exact(validation: ExactValidation, screen: Screen) -> None:
     for row in worst.head(MOST).to_dict("records"):
         at = ", ".join(str(row[name]) for name in KEY)
         screen.say(f"{at}: {row['mean']:.6g} ± {row['se']:.2g}, exact {row['exact']:.6g}, z = {row['z']:.3g}")
-    screen.say(*validation.refused[:MOST])
-    if len(validation.refused) > MOST:
-        screen.print(f"... and {len(validation.refused) - MOST:,} more without an exact value.")
+    screen.say(*validation.refusals[:MOST])
+    if len(validation.refusals) > MOST:
+        screen.print(f"... and {len(validation.refusals) - MOST:,} more without an exact value.")
     screen.say(validation.verdict)
 
 
@@ -120,7 +120,7 @@ def _changes(rows: pd.DataFrame, title: str, screen: Screen) -> None:
     names |= {name: [r[name] for r in records] for name in ("signal", "metric")}
     numbers = {"there": old, "here": new, "difference": [f"{r['difference']:+.3g}" for r in records]}
     numbers["p (Holm)"] = ["no variance" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}" for r in records]
-    columns = [Column(name, cells, left=True) for name, cells in names.items() if any(cells)]
+    columns = [Column(name, cells, is_text=True) for name, cells in names.items() if any(cells)]
     screen.fit(title, columns + [Column(name, cells) for name, cells in numbers.items()])
     screen.say_unproven(rows[["certified_a", "certified_b"]].to_numpy().ravel())
 
@@ -132,7 +132,7 @@ def claims(title: str, rows: list[Claim], screen: Screen) -> None:
         names = {"claim": "claim", "reference": "printed", "source": "source", "reproduced": "reproduced"}
     columns = [Column(name, [getattr(row, key) for row in rows], prose=True) for name, key in names.items()]
     verdicts = [Text(row.verdict, STYLES[row.verdict]) for row in rows]
-    screen.fit(title, [*columns, Column("verdict", verdicts, left=True)])
+    screen.fit(title, [*columns, Column("verdict", verdicts, is_text=True)])
     screen.print(summary(rows))
 
 

@@ -50,7 +50,7 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
         [f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]]
         for name in (*constant_names, *variable_names)
     ]
-    columns = [Column(head, cells, left=head == option) for head, cells in zip(heads, values, strict=True)]
+    columns = [Column(head, cells, is_text=head == option) for head, cells in zip(heads, values, strict=True)]
     screen.fit(mark_uncertified(title, table.certified), columns)
     if len(designs) > 1 and not variable_names and designs.rate.nunique() <= 1:
         screen.print(f"{option} has no effect here: these gains do not depend on it; use another --gain.")
@@ -63,10 +63,10 @@ def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
 
 def print_tuning(tuning: "Tuning", observer: str, folder: str | None, screen: Screen) -> None:
     """Print a tuning: start and tuned options with their metric on training and validation seeds."""
-    objective, validations, of_runs = tuning.objective, tuning.judged, not tuning.exact
-    columns = [Column("seeds", [str(j.seeds) for j in validations], left=True)] if of_runs else []
+    objective, validations, of_runs = tuning.objective, tuning.judgements, not tuning.exact
+    columns = [Column("seeds", [str(j.seeds) for j in validations], is_text=True)] if of_runs else []
     columns += [
-        Column("", [j.what for j in validations], left=True),
+        Column("", [j.what for j in validations], is_text=True),
         Column("start", [mean(j.start, j.start_se) for j in validations]),
         Column("tuned", [mean(j.tuned, j.tuned_se) for j in validations]),
         Column("tuned - start", [mean(j.difference, j.difference_se, "+") for j in validations]),
@@ -79,7 +79,7 @@ def print_tuning(tuning: "Tuning", observer: str, folder: str | None, screen: Sc
     name, points = mark_uncertified(observer, [tuning.certified]), f"{len(tuning.points)} points by {tuning.method}"
     screen.fit(f"{name}: {quantity} of {objective.name}, {points}", columns)
     screen.say_unproven([tuning.certified])
-    for name, value in tuning.found.items():
+    for name, value in tuning.best.items():
         screen.print(f"{name} = {_option(value)}   (start: {_option(tuning.start[name])})")
     if tuning.kept_start:
         screen.print(f"The start is kept: {tuning.kept_start}.")
@@ -99,33 +99,33 @@ def tuned_on_log(tuning: "LogTuning", observer: str, log: str, folder: str | Non
     """Print the delays, the tuned intensities, and compare start and tuned on the held-out part."""
     if tuning.delays:
         columns = [
-            Column("channel", [d.channel for d in tuning.delays], left=True),
+            Column("channel", [d.channel for d in tuning.delays], is_text=True),
             Column("delay [s]", [f"{d.estimate:.4g}" for d in tuning.delays]),
             Column("95 % interval", [f"{d.low:.4g} to {d.high:.4g}" for d in tuning.delays]),
-            Column("searched", [f"{d.searched[0]:.4g} to {d.searched[1]:.4g}" for d in tuning.delays], spare=1),
+            Column("searched", [f"{d.search_range[0]:.4g} to {d.search_range[1]:.4g}" for d in tuning.delays], spare=1),
         ]
         screen.fit("delay: time from the physical instant of a measurement to its recorded timestamp", columns)
     rows, scores = tuning.intensities, tuning.held_out.values()
     ends = [f"{i.low:.4g} to {i.high:.4g}" if i.low else f"below {i.high:.4g}" for i in rows]
-    roots = [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
+    roots = [f"{i.value**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows]
     columns = [
-        Column("intensity", [i.name for i in rows], left=True),
+        Column("intensity", [i.name for i in rows], is_text=True),
         Column("start", [f"{i.start:.4g}" for i in rows]),
-        Column("tuned", [f"{i.found:.4g}" for i in rows]),
+        Column("tuned", [f"{i.value:.4g}" for i in rows]),
         Column("95 % interval", ["-" if np.isnan(i.low) else end for i, end in zip(rows, ends, strict=True)]),
         Column("root", roots, spare=1),
     ]
     screen.fit(f"{observer}: maximum likelihood on {log}, {len(tuning.points)} points by descent", columns)
     columns = [
-        Column("held out", list(tuning.held_out), left=True),
+        Column("held out", list(tuning.held_out), is_text=True),
         Column("log-likelihood\nper value", [f"{s['log_likelihood']:.4g}" for s in scores]),
         Column("NIS", [f"{s['nis']:.3f}" for s in scores]),
-        Column("verdict", [str(s["verdict"]) for s in scores], left=True),
+        Column("verdict", [str(s["verdict"]) for s in scores], is_text=True),
         Column("ljung_box_p", [f"{s['ljung_box_p']:.3g}" for s in scores]),
     ]
     samples = tuning.held_out["tuned"]["samples"]
     screen.fit(f"test on the last part ({samples} samples), after tuning on the first part only", columns)
-    screen.say(f"tuned - start: {tuning.gain:+.4g} (standard error {tuning.gain_se:.2g}).", *tuning.said)
+    screen.say(f"tuned - start: {tuning.gain:+.4g} (standard error {tuning.gain_se:.2g}).", *tuning.notes)
     if tuning.kept_start:
         screen.say(f"The start is kept: {tuning.kept_start}.")
     if folder is not None:
@@ -143,8 +143,8 @@ def fair(table: pd.DataFrame, screen: Screen) -> None:
     training = [mean(r["training"], r["training_se"]) for r in rows]
     columns = [Column("grid point", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
     columns += [
-        Column("observer", [mark_uncertified(r["observer"], [r["certified"]]) for r in rows], left=True),
-        Column("gains", [r["tuning"] for r in rows], left=True),
+        Column("observer", [mark_uncertified(r["observer"], [r["certified"]]) for r in rows], is_text=True),
+        Column("gains", [r["tuning"] for r in rows], is_text=True),
         Column("held out", [mean(r["held_out"], r["held_out_se"]) for r in rows]),
         Column("rms\nefficiency", bound),
         Column("training" if of_runs else "expected", training, spare=2),
@@ -163,5 +163,5 @@ def print_findings(title: str, findings: list[Finding], screen: Screen) -> None:
     colours = {"passes": "green", "fails": "red"}
     verdicts = [Text(f.verdict, colours.get(f.verdict, "yellow")) for f in findings]
     checks, reasons = ([getattr(f, name) for f in findings] for name in ("check", "why"))
-    columns = [Column("check", checks, left=True), Column("verdict", verdicts, left=True)]
+    columns = [Column("check", checks, is_text=True), Column("verdict", verdicts, is_text=True)]
     screen.fit(title, [*columns, Column("reason", reasons, prose=True)])

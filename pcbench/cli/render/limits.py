@@ -19,7 +19,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
         [estimate(r[f"{at}mean"], r[f"{at}ci_low"], r[f"{at}ci_high"]) for r in rows] for at in ("", "exceeds_")
     )
     columns = [
-        Column("observer", [row["observer"] for row in rows], left=True),
+        Column("observer", [row["observer"] for row in rows], is_text=True),
         Column(f"suffices\nup to{axis_unit}", [_largest(row) for row in rows]),
         Column(metric, means, spare=1),
         Column(f"exceeds\nfrom{axis_unit}", [plain(row["exceeds"], "g") for row in rows]),

@@ -28,7 +28,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
     rows = table.to_dict("records")
     ends = ["{} to {}".format(*(_plain(row[k], MILLI) for k in ("delay_p05", "delay_p95"))) for row in rows]
     columns = [
-        Column("channel", [row["channel"] for row in rows], left=True),
+        Column("channel", [row["channel"] for row in rows], is_text=True),
         _count("samples", rows),
         _count("lost", rows),
         Column("rate\n[1/s]", [_plain(row["rate"]) for row in rows]),
@@ -65,12 +65,12 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
             "constant" if row["constant"] else f"{row['repeats']} repeated" if row["repeats"] else "" for row in fields
         ]
         columns = [
-            Column("field", [row["field"] for row in fields], left=True),
+            Column("field", [row["field"] for row in fields], is_text=True),
             Column("values", [f"{row['rows'] - row['missing']:,}" for row in fields]),
             Column("rate\n[1/s]", [_plain(row["rate"]) for row in fields]),
             Column("least", [number(row["least"], ".6g") for row in fields]),
             Column("most", [number(row["most"], ".6g") for row in fields]),
-            Column("note", notes, left=True),
+            Column("note", notes, is_text=True),
         ]
         title = f"{where} {first['rows']:,} rows{span}"
         screen.fit(title, columns) if first["field"] else screen.say(f"{title}: no field of numbers")
@@ -110,7 +110,7 @@ def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
         tests = _innovation_columns(rows)
         columns = [
             *axes,
-            Column("observer", [row["observer"] for row in rows], left=True),
+            Column("observer", [row["observer"] for row in rows], is_text=True),
             _count("samples", rows),
             *(tests[:1] if axes else tests),
             Column("log-likelihood\nper value", [_plain(row["log_likelihood"]) for row in rows]),
@@ -122,7 +122,7 @@ def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
             return
     if len(result.channels) and (result.channels.channel.nunique() > 1 or result.channels.not_judged.any()):
         rows = result.channels.to_dict("records")
-        columns = [Column(name, [row[name] for row in rows], left=True) for name in ("observer", "channel")]
+        columns = [Column(name, [row[name] for row in rows], is_text=True) for name in ("observer", "channel")]
         screen.fit(
             "the same per channel",
             [*columns, _count("samples", rows), _count("not_judged", rows), *_innovation_columns(rows)],
@@ -157,7 +157,7 @@ def _innovation_columns(rows: Rows) -> list[Column]:
     return [
         Column("NIS", [_plain(row["nis"]) for row in rows]),
         Column("95 % band", bands),
-        Column("verdict", [row["verdict"] for row in rows], left=True),
+        Column("verdict", [row["verdict"] for row in rows], is_text=True),
         Column("ljung_box_p", [_plain(row["ljung_box_p"]) for row in rows]),
     ]
 
@@ -165,7 +165,7 @@ def _innovation_columns(rows: Rows) -> list[Column]:
 def _by_signal(table: pd.DataFrame, value: str, title: str, screen: Screen) -> None:
     """Print one row per observer and one column per signal."""
     pivot = table.pivot(index="observer", columns="signal", values=value)
-    columns = [Column("observer", list(pivot.index), left=True)]
+    columns = [Column("observer", list(pivot.index), is_text=True)]
     for signal, unit in dict(zip(table.signal, table.unit, strict=True)).items():
         columns.append(Column(f"{signal}\n[{unit}]", [_plain(float(v)) for v in pivot[signal].to_numpy(float)]))
     screen.fit(title, columns)
@@ -184,7 +184,7 @@ def table(result: Any, double: dict[str, Any], single: dict[str, Any], source: s
     about = result.about
     names = [name for name, _ in about.signals if name in double]
     columns = [
-        Column("signal", [f"{name} [{unit}]" for name, unit in about.signals if name in double], left=True),
+        Column("signal", [f"{name} [{unit}]" for name, unit in about.signals if name in double], is_text=True),
         Column("double:\nlargest diff.", [f"{double[name].most:.2g}" for name in names]),
         Column("rms error", [f"{double[name].error:.6g}" for name in names]),
         Column("float:\nrms diff.", [f"{single[name].differs:.2g}" for name in names]),

@@ -165,7 +165,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
         return f"median\n{name}{unit}" if name == "settling_time" and name != metric else name + unit
 
     columns = [Column(axis, values[axis]) for axis in axes]
-    columns.append(Column("observer", values["observer"], left=True, bold=frozenset(bold)))
+    columns.append(Column("observer", values["observer"], is_text=True, bold=frozenset(bold)))
     columns.append(Column(head(metric), values[metric]))
     columns += [Column(LESS, values[LESS])] if len(set(values["observer"])) > 1 else []
     columns += [Column("diverged", values["divergence_rate"])] if view.stats.diverged.any() else []
@@ -204,7 +204,7 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     rows = [(str(observer), g, g["mean"].median()) for observer, g in part.groupby("observer", sort=False)]
     rows.sort(key=lambda row: (-wins[row[0]], np.nan_to_num(row[2], nan=np.inf)))
     columns = [
-        Column("observer", [mark_uncertified(o, g.certified) for o, g, _ in rows], left=True),
+        Column("observer", [mark_uncertified(o, g.certified) for o, g, _ in rows], is_text=True),
         Column("grid points\nwon", [str(wins[o]) for o, _, _ in rows]),
         Column("as good as\nthe best", [str(shared_wins[o]) for o, _, _ in rows]),
         Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),
@@ -240,20 +240,20 @@ def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[st
         return []
     names = [o for _, o, _ in rows]
     columns = [Column("grid point", [cell for cell, _, _ in rows])] if len(cells) > 1 else []
-    columns.append(Column("observer", names, left=True))
+    columns.append(Column("observer", names, is_text=True))
     if len(rows) > LONGEST_CONSISTENCY:
-        columns = [Column("observer", list(dict.fromkeys(names)), left=True)]
+        columns = [Column("observer", list(dict.fromkeys(names)), is_text=True)]
     for metric, texts in verdicts.items():
         if len(rows) > LONGEST_CONSISTENCY:
             words: dict[str, Counter[str]] = {o: Counter() for o in names}
             for o, text in zip(names, texts, strict=True):
                 words[o].update(filter(None, [text.partition(" ")[2]]))
             counts = [", ".join(f"{word} {n}" for word, n in counter.most_common()) for counter in words.values()]
-            columns.append(Column(f"{metric}: grid points", counts, left=True))
+            columns.append(Column(f"{metric}: grid points", counts, is_text=True))
         else:
             bands = [_band(by_metric, o, metric) for _, o, by_metric in rows]
             suffixes = ["" if band == exact_band() else f" ({band.low:.3g} .. {band.high:.3g})" for band in bands]
-            columns.append(Column(metric, [t and t + a for t, a in zip(texts, suffixes, strict=True)], left=True))
+            columns.append(Column(metric, [t and t + a for t, a in zip(texts, suffixes, strict=True)], is_text=True))
     screen.fit(f"{name}: consistency of the filters", [c for c in columns if any(c.cells)])
     return [MEANS]
 

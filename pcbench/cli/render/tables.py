@@ -28,7 +28,7 @@ class Column(NamedTuple):
     head: str
     cells: Sequence[str | Text]
     spare: int = 0
-    left: bool = False  # text, not numbers
+    is_text: bool = False  # text, not numbers
     bold: frozenset[int] = frozenset()  # rows in bold
     prose: bool = False  # sentences, which may be broken between words
 
@@ -85,7 +85,7 @@ class Screen(Console):
 
     def _parts(self, columns: list[Column]) -> list[list[Column]]:
         """Return columns divided into tables that fit, each with the leading text columns; a table is never empty."""
-        first = list(takewhile(lambda c: c.left and not c.prose, columns))
+        first = list(takewhile(lambda c: c.is_text and not c.prose, columns))
         parts = [first]
         for column in columns[len(first) :]:
             if len(parts[-1]) > len(first) and self._needs([*parts[-1], column]) > self.width:
@@ -127,7 +127,7 @@ def _table(columns: list[Column], sections: list[int] | None, spare: int = 0) ->
             width, natural = _prose_widths(c)
             extra = min(spare, natural - width)
             width, spare = width + extra, spare - extra
-        side: Literal["left", "right"] = "left" if c.left or c.prose else "right"
+        side: Literal["left", "right"] = "left" if c.is_text or c.prose else "right"
         table.add_column(c.head, justify=side, overflow="fold", no_wrap=not c.prose, width=width)
         texts = c.cells if side == "left" else align_intervals([str(cell) for cell in c.cells])
         cells.append(

@@ -43,7 +43,7 @@ class ControllerContext(NamedTuple):
     dt: float  # duration of a tick [s]
     ticks: int  # number of ticks of a run
     rows: int  # number of commands before tick 0 that the loop stores
-    ahead: int  # number of ticks after the run for which a set point may be needed
+    lookahead: int  # number of ticks after the run for which a set point may be needed
     late: int  # mean delay from command to plant [ticks]
     states: tuple[str, ...]  # names of the states
     delay: Delay  # delay from command to plant as a function of time [s]

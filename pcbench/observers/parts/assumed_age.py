@@ -83,7 +83,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     """Return the present xhat."""
-    return memory.run.xbar + memory.run.carried @ memory.z
+    return memory.run.xbar + memory.run.transition @ memory.z
 
 
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)

@@ -43,8 +43,8 @@ class Gains(NamedTuple):
     room: Room  # for samples that may arrive after newer ones
     states: Float[Room, " plant"]  # number of the plant's states
     inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
-    known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
-    own: PyTree = ()  # parameters of one observer of the family
+    nonlinearity: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
+    extra: PyTree = ()  # parameters of one observer of the family
     guard: PyTree = ()  # robust_update.Guard, of a filter that rejects outliers or reduces their weight
 
 
@@ -82,8 +82,8 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
 
 def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Posterior:
     """Return mean and covariance propagated to a tick; a copy in the state stays constant."""
-    n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
-    free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
+    n, age, powers = gains.P0.shape[0], tick - before.tick, gains.motion.powers
+    free = prediction.at(gains.motion, Point(before.mean[:n], before.tick), tick)
     P = covariance_after(powers, gains.noise, age, before.P[:n, :n])
     if before.mean.shape[0] == n:
         return Posterior(free, P, tick)
@@ -94,7 +94,7 @@ def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Poster
 
 def update(gains: Gains, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
-    free, P, _ = predict_posterior(gains, before, sample.taken)
+    free, P, _ = predict_posterior(gains, before, sample.tick)
     value, rejections, n = value_of(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
     rows = kalman.pad_columns(gains.C, free.shape[0])
@@ -106,13 +106,13 @@ def update(gains: Gains, before: AnyPosterior, sample: Measurement) -> AnyPoster
         free = free + K * nu
         P = kalman.covariance(P, K, c, r)
         rejections.append(out)
-    return robust_update.after(before, free, P, sample.taken, rejections)
+    return robust_update.after(before, free, P, sample.tick, rejections)
 
 
 def newest_innovation_stats(gains: Gains, before: AnyPosterior, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the newest state `before`; empty for an older sample."""
-    prior = predict_posterior(gains, before, jnp.maximum(sample.taken, before.taken))
-    return innovation_stats(gains, prior, sample._replace(mask=sample.mask & (sample.taken >= before.taken)))
+    prior = predict_posterior(gains, before, jnp.maximum(sample.tick, before.tick))
+    return innovation_stats(gains, prior, sample._replace(mask=sample.mask & (sample.tick >= before.tick)))
 
 
 def innovation_stats(gains: Gains, prior: AnyPosterior, sample: Measurement) -> InnovationStats:
@@ -135,7 +135,7 @@ def signals_of(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
     if not r:
         return xhat
     f = z[-r:]
-    return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
+    return jnp.append(xhat, f - gains.nonlinearity(xhat) if gains.nonlinearity else f)
 
 
 def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
@@ -145,7 +145,7 @@ def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
 
 def point(after: AnyPosterior) -> Point:
     """Return the mean of a posterior as a `Point`."""
-    return Point(after.mean, after.taken)
+    return Point(after.mean, after.tick)
 
 
 use = prediction.make_use(update, point)
@@ -166,8 +166,8 @@ def newest(gains: Gains, memory: Memory) -> AnyPosterior:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance: that at the newest sample used, propagated."""
     before = memory.buffer.before
-    empty_sample = Measurement(before.taken, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
-    memory, _ = prediction.restart(gains.motion, memory, now, empty_sample, before.taken)
+    empty_sample = Measurement(before.tick, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
+    memory, _ = prediction.restart(gains.motion, memory, now, empty_sample, before.tick)
     return spread(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
 
 
@@ -182,23 +182,23 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     A sample older than all stored samples has empty statistics.
     """
     sample, before = reorder_buffer.sample_of(now, arrival, gains.D), memory.buffer.before
-    memory, sample = prediction.restart(gains.motion, memory, now, sample, before.taken)
+    memory, sample = prediction.restart(gains.motion, memory, now, sample, before.tick)
     buffer = memory.buffer
-    if not buffer.samples.taken.shape[0]:
+    if not buffer.samples.tick.shape[0]:
         return newest_innovation_stats(gains, buffer.before, sample)
     first, n = buffer.before, gains.P0.shape[0]
 
     def copy(state: AnyPosterior, sample: Measurement) -> AnyPosterior:
-        prior = predict_posterior(gains, state, sample.taken)
-        return state._replace(mean=jnp.tile(prior.mean[:n], 2), P=kalman.with_copy(prior.P, n), taken=sample.taken)
+        prior = predict_posterior(gains, state, sample.tick)
+        return state._replace(mean=jnp.tile(prior.mean[:n], 2), P=kalman.with_copy(prior.P, n), tick=sample.tick)
 
-    sample = sample._replace(mask=sample.mask & (sample.taken >= first.taken))
-    marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))
+    sample = sample._replace(mask=sample.mask & (sample.tick >= first.tick))
+    marker = sample._replace(tick=jnp.maximum(sample.tick, first.tick))
     joint_posterior = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
     state = reorder_buffer.newest_with_copy(
         partial(update, gains), copy, buffer._replace(before=joint_posterior), marker
     )
-    return innovation_stats(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
+    return innovation_stats(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.tick), sample)
 
 
 FILTER = Observer(
@@ -211,7 +211,7 @@ def design(
     options: Options,
     name: str,
     room: Room | None = None,
-    own: PyTree = (),
+    extra: PyTree = (),
     reason: str = "",
     guard: PyTree = (),
     restarts: bool = True,
@@ -249,8 +249,8 @@ def design(
         room=context.room if room is None else room,
         states=np.zeros(n),
         inputs=np.zeros(len(inputs) if len(inputs) == len(context.unknown_std) else 0),  # all unknown inputs, or none
-        known=context.model.known if len(inputs) else None,
-        own=own(model) if callable(own) else own,
+        nonlinearity=context.model.nonlinearity if len(inputs) else None,
+        extra=extra(model) if callable(extra) else extra,
         guard=guard,
     )
     carries = True if len(inputs) else None

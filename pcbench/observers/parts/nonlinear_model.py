@@ -50,7 +50,7 @@ class Gains(NamedTuple):
     high: Float[Leaf, " s"]
     room: Room  # for samples that may arrive after newer ones
     guard: PyTree = ()  # robust_update.Guard, of a filter that rejects outliers or reduces their weight
-    own: PyTree = ()  # parameters of one observer of the family
+    extra: PyTree = ()  # parameters of one observer of the family
     residual: Any = None  # (y[q], yhat[q]) -> residual of outputs that wrap, such as angles; None: y - yhat
 
 
@@ -114,11 +114,11 @@ def motion_of(context: DesignContext) -> tuple[Partial, Partial]:
     if context.successor is not None:
         after = context.successor
         return Partial(step_augmented, after, room), Partial(augmented_jacobian, after, room)
-    if context.field is None and (model.E is None or model.known is None):
+    if context.field is None and (model.E is None or model.nonlinearity is None):
         joint_model = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(joint_model, context.dt)
         return Partial(affine, Phi, Gamma), Partial(constant, Phi)
-    field = context.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.known)
+    field = context.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.nonlinearity)
     return Partial(step, field, room), Partial(slope, field, room)
 
 
@@ -152,7 +152,7 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
             z_next = jnp.concatenate([z_next, z[N:]])
         return z_next, F @ P @ F.T + Q
 
-    return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
+    return lax.fori_loop(before.tick, until, tick, (before.mean, before.P))
 
 
 def linearize_sensor(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
@@ -198,10 +198,10 @@ def design(
     context: DesignContext,
     options: Options,
     name: str,
-    own: Callable[[Gains], PyTree] = lambda gains: (),
+    extra: Callable[[Gains], PyTree] = lambda gains: (),
     guard: PyTree = (),
 ) -> Design:
-    """Return a filter's assumptions, and by `own` the parameters of one observer; there is no certificate."""
+    """Return a filter's assumptions, and by `extra` the parameters of one observer; there is no certificate."""
     n, s, where = len(context.model.A), len(context.unknown_std), f"{name} in {context.scenario}"
     motion, tangent = motion_of(context)
     size = np.square(context.unknown_std)
@@ -234,4 +234,4 @@ def design(
     numbers = {"R": R, **assumed_noise.option("Q", process)}
     inequality = "none: the model is nonlinear, or linearised at the estimate"
     proof = Certificate(inequality, float("inf"), "none", "not needed", numbers)
-    return Design(gains._replace(own=own(gains)), proof, True if context.model.E is not None else None)
+    return Design(gains._replace(extra=extra(gains)), proof, True if context.model.E is not None else None)

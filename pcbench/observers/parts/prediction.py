@@ -42,7 +42,7 @@ class Point(NamedTuple):
     """An estimate at the time of a sample."""
 
     free: Float[Array, " n"]  # xhat - g at tick `taken`
-    taken: Int[Array, ""]  # tick
+    tick: Int[Array, ""]  # tick
 
 
 class Memory(NamedTuple):
@@ -86,7 +86,7 @@ def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
 
 def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return `free` propagated to a tick; the estimate there is g plus this."""
-    return after(motion.powers, tick - point.taken, point.free)
+    return after(motion.powers, tick - point.tick, point.free)
 
 
 def responses(motion: Motion, now: Now, since: Int[Array, ""], ticks: Int[Array, " k"]) -> Float[Array, "k n"]:
@@ -107,7 +107,7 @@ def restart(
     if motion.restarts is None:
         return memory, measurement
     before, samples = memory.buffer
-    ticks = jnp.concatenate([measurement.taken[None], samples.taken, jnp.asarray(now.tick)[None]])
+    ticks = jnp.concatenate([measurement.tick[None], samples.tick, jnp.asarray(now.tick)[None]])
     g = responses(motion, now, since, ticks)
     buffer = Buffer(before, samples._replace(snapshot=g[1:-1]))
     return memory._replace(g=g[-1], buffer=buffer), measurement._replace(snapshot=g[0])
@@ -131,7 +131,7 @@ def make_use(
     """
 
     def use(gains: Gains, memory: Memory, now: Now, measurement: Measurement) -> Memory:
-        since = point_of(memory.buffer.before).taken
+        since = point_of(memory.buffer.before).tick
         memory, measurement = restart(gains.motion, memory, now, measurement, since)
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, measurement)
         free = at(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
@@ -141,8 +141,8 @@ def make_use(
     def stop(memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
         """Return the memory with g removed from the state before the samples; g starts again there."""
         before = memory.buffer.before
-        ticks = jnp.append(samples.taken, measurement.taken)
-        is_same_tick = ticks == point_of(before).taken
+        ticks = jnp.append(samples.tick, measurement.tick)
+        is_same_tick = ticks == point_of(before).tick
         g = jnp.concatenate([samples.snapshot, measurement.snapshot[None]])[jnp.argmax(is_same_tick)]
         before = shift_estimates(before, jnp.where(jnp.any(is_same_tick), g, 0.0))
         return memory._replace(g=jnp.zeros_like(memory.g), buffer=memory.buffer._replace(before=before))

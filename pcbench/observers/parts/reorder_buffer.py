@@ -24,7 +24,7 @@ from pcbench.protocols import Arrival, Leaf, Now, Room, vmap_as_unit
 class Measurement(NamedTuple):
     """A measurement that has arrived, with all q outputs of one sampling time; in a buffer, with a leading axis [K]."""
 
-    taken: Int[Array, "..."]  # sampling tick according to the timestamp
+    tick: Int[Array, "..."]  # sampling tick according to the timestamp
     value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
     mask: Bool[Array, "... q"]
     snapshot: Float[Array, "... noted"]
@@ -68,9 +68,9 @@ def zero_missing(sample: Measurement) -> Measurement:
 
 def replay(update: Update, buffer: Buffer, measurement: Measurement) -> tuple[Buffer, PyTree]:
     """Return the buffer with the arriving sample inserted, and the state after the newest sample."""
-    if (oldest := getattr(buffer.before, "taken", None)) is not None:
-        measurement = measurement._replace(taken=within_room(measurement.taken, measurement.taken >= oldest))
-    if not buffer.samples.taken.shape[0]:
+    if (oldest := getattr(buffer.before, "tick", None)) is not None:
+        measurement = measurement._replace(tick=within_room(measurement.tick, measurement.tick >= oldest))
+    if not buffer.samples.tick.shape[0]:
         state = update(buffer.before, measurement)
         return Buffer(state, buffer.samples), state
     entries, newest_samples = _merge_sample(buffer.samples, measurement)
@@ -81,7 +81,7 @@ def replay(update: Update, buffer: Buffer, measurement: Measurement) -> tuple[Bu
 
 def newest(update: Update, buffer: Buffer) -> PyTree:
     """Return the state after the newest sample that has arrived."""
-    return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.taken.shape[0] else buffer.before
+    return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.tick.shape[0] else buffer.before
 
 
 def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: Measurement) -> PyTree:
@@ -92,7 +92,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: 
     arrival are independent.
     """
     entries, _ = _merge_sample(buffer.samples, measurement)
-    place = jnp.sum(buffer.samples.taken <= measurement.taken)
+    place = jnp.sum(buffer.samples.tick <= measurement.tick)
 
     def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
         i, sample = row
@@ -102,7 +102,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: 
             lambda a, b, c: jnp.where(is_copy, a, jnp.where(has_sample, b, c)), with_copy, posterior, state
         ), None
 
-    return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
+    return lax.scan(step, buffer.before, (jnp.arange(entries.tick.shape[0]), entries))[0]
 
 
 def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTree, PyTree]:
@@ -123,7 +123,7 @@ def _merge_sample(samples: Measurement, measurement: Measurement) -> tuple[Measu
     """
 
     def merge(samples: Measurement, measurement: Measurement) -> tuple[Measurement, Measurement]:
-        later = samples.taken > measurement.taken
+        later = samples.tick > measurement.tick
         is_before, is_after = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
 
         def merge_leaf(a: Array, b: Array) -> Array:

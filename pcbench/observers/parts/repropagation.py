@@ -53,13 +53,13 @@ def observer(functions: FilterFunctions) -> Observer:
     """Return the observer with these functions."""
 
     def propagate(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
-        end = lax.fori_loop(state.taken, until, lambda k, s: functions.tick(gains, at(now, k), s), state)
-        return end._replace(taken=until)
+        end = lax.fori_loop(state.tick, until, lambda k, s: functions.tick(gains, at(now, k), s), state)
+        return end._replace(tick=until)
 
     def use(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
-            prior = propagate(gains, now, before, sample.taken)
-            return functions.update(gains, at(now, sample.taken), prior, sample)
+            prior = propagate(gains, now, before, sample.tick)
+            return functions.update(gains, at(now, sample.tick), prior, sample)
 
         return update
 
@@ -87,7 +87,7 @@ def observer(functions: FilterFunctions) -> Observer:
             return later, functions.mean(gains, later)
 
         later, z = vmap_as_unit(advance)(memory.now)
-        return memory._replace(now=later._replace(taken=now.tick + 1), z=z)
+        return memory._replace(now=later._replace(tick=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
         """Return the present xhat, and the unknowns."""
@@ -103,9 +103,9 @@ def observer(functions: FilterFunctions) -> Observer:
         def score(memory: Memory, arrival: Arrival) -> InnovationStats:
             before = reorder_buffer.newest(use(gains, now), memory.buffer)
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
-            newest_sample = sample._replace(mask=sample.mask & (sample.taken >= before.taken))
+            newest_sample = sample._replace(mask=sample.mask & (sample.tick >= before.tick))
             return functions.expected(
-                gains, at(now, sample.taken), propagate(gains, now, before, sample.taken), newest_sample
+                gains, at(now, sample.tick), propagate(gains, now, before, sample.tick), newest_sample
             )
 
         return vmap_as_unit(score)(memory, arrival)

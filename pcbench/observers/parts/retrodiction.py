@@ -52,7 +52,7 @@ class Past(NamedTuple):
 
     mean: Float[Array, "K N"]
     P: Float[Array, "K N N"]
-    taken: Int[Array, " K"]
+    ticks: Int[Array, " K"]
 
 
 class Memory(NamedTuple):
@@ -73,7 +73,7 @@ Retrodict = Callable[
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with the prior as past posteriors."""
-    first, N = linear_filter.prior(gains, xhat0), gains.own.past.shape[0]
+    first, N = linear_filter.prior(gains, xhat0), gains.extra.past.shape[0]
     n = first.mean.shape[0]
     no_update = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
     past = Past(jnp.tile(first.mean, (N, 1)), jnp.tile(first.P, (N, 1, 1)), jnp.zeros(N, int))
@@ -82,8 +82,8 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     """Update by a sample that is at least as new as the newest; channels of one tick count as one update."""
-    before, same_tick = memory.posterior, sample.taken == memory.posterior.taken
-    prior = linear_filter.predict_posterior(gains, before, sample.taken)
+    before, same_tick = memory.posterior, sample.tick == memory.posterior.tick
+    prior = linear_filter.predict_posterior(gains, before, sample.tick)
     P = jnp.where(same_tick, memory.last.P, prior.P)
     u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
     value, mean, R = linear_filter.value_of(gains, sample), prior.mean - P @ u, sample.variances(gains.R)
@@ -111,15 +111,15 @@ def backward(
     With `zero`, the estimated process noise in between is 0.
     """
     (x, P, k), (prior, u, U) = memory.posterior, last
-    n, age = x.shape[0], k - sample.taken
+    n, age = x.shape[0], k - sample.tick
     Q = covariance_after(gains.motion.powers, gains.noise, age, jnp.zeros_like(P))
     noise = jnp.zeros(n) if zero else Q @ u
     vv = Q if zero else Q - Q @ U @ Q
     xv = Q - prior @ U @ Q
-    P_sample = after(gains.own.back, age, P + vv - xv - xv.T)
-    P_sample = after(gains.own.back, age, P_sample.T)
-    across = after(gains.own.back, age, (P - xv).T).T
-    z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
+    P_sample = after(gains.extra.back, age, P + vv - xv - xv.T)
+    P_sample = after(gains.extra.back, age, P_sample.T)
+    across = after(gains.extra.back, age, (P - xv).T).T
+    z = jnp.concatenate([x, after(gains.extra.back, age, x - noise)])
     joint = jnp.block([[P, across], [across.T, P_sample]])
     value, total, R = linear_filter.value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
@@ -137,14 +137,12 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
-        is_older = sample.taken < memory.posterior.taken
+        is_older = sample.tick < memory.posterior.tick
         backward_memory = select_memory(
-            is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory
+            is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.tick), zero)[0], memory
         )
-        is_stored = sample.taken >= memory.past.taken[0]
-        forward_memory = forward(
-            gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken))
-        )
+        is_stored = sample.tick >= memory.past.ticks[0]
+        forward_memory = forward(gains, memory, sample._replace(tick=jnp.maximum(sample.tick, memory.posterior.tick)))
         memory = select_memory(is_older, select_memory(is_stored, backward_memory, memory), forward_memory)
         free = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + free)
@@ -152,9 +150,9 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample that is used; empty if it is older than the stored posteriors."""
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
-        is_stored = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
-        older = sample._replace(mask=sample.mask & is_stored, taken=jnp.minimum(sample.taken, memory.posterior.taken))
-        backward_stats = backward(gains, memory, older, retrodict(gains, memory, older.taken), zero)[1]
+        is_stored = (sample.tick < memory.posterior.tick) & (sample.tick >= memory.past.ticks[0])
+        older = sample._replace(mask=sample.mask & is_stored, tick=jnp.minimum(sample.tick, memory.posterior.tick))
+        backward_stats = backward(gains, memory, older, retrodict(gains, memory, older.tick), zero)[1]
         forward_stats = linear_filter.newest_innovation_stats(gains, memory.posterior, sample)
         return select_memory(is_stored, backward_stats, forward_stats)
 
@@ -189,5 +187,5 @@ def design(context: DesignContext, options: linear_filter.Options, name: str, pa
             return RetrodictionParams(linear.powers(reverse, context.dt, context.ticks), np.zeros(past))
 
     return linear_filter.design(
-        context, options, name, own=params_of, reason=reason if context.overtaking else "", restarts=False
+        context, options, name, extra=params_of, reason=reason if context.overtaking else "", restarts=False
     )

@@ -47,7 +47,7 @@ class GuardedPosterior(NamedTuple):
 
     mean: Float[Array, " joint"]
     P: Float[Array, "joint joint"]
-    taken: Int[Array, ""]
+    tick: Int[Array, ""]
     left_out: Int[Array, " q"]
 
 

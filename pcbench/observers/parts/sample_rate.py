@@ -45,7 +45,7 @@ class ModelRun(NamedTuple):
     tick: Int[Array, ""]
     sample: Int[Array, ""]  # number of the last sample, from 0
     xbar: Float[Array, " n"]  # at the present tick
-    carried: Float[Array, "n n"]  # e^{A t}
+    transition: Float[Array, "n n"]  # e^{A t}
 
 
 def model_of(context: DesignContext) -> SampledModel:
@@ -63,7 +63,7 @@ def flow(model: SampledModel, run: ModelRun, now: Now) -> tuple[ModelRun, Bool[A
     """Return the model one tick later, and whether that is a sampling tick."""
     tick = run.tick + 1
     due = tick % model.period == 0
-    transition = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.carried)
+    transition = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.transition)
     return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, transition), due
 
 

@@ -39,15 +39,15 @@ class Memory(NamedTuple):
     xhat: Float[Array, " n"]
     clones: Float[Array, "J n"]
     P: Float[Array, "joint joint"]
-    at: Int[Array, ""]  # the tick of P
-    taken: Int[Array, " J"]  # ticks; -1: none
-    made: Int[Array, ""]  # number of clones made so far
+    covariance_tick: Int[Array, ""]  # the tick of P
+    sampling_ticks: Int[Array, " J"]  # ticks; -1: none
+    n_clones: Int[Array, ""]  # number of clones made so far
     tick: Int[Array, ""]
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, without clones."""
-    first, J = linear_filter.prior(gains, xhat0), gains.own.shape[0]
+    first, J = linear_filter.prior(gains, xhat0), gains.extra.shape[0]
     n = first.mean.shape[0]
     P = jnp.zeros(((J + 1) * n, (J + 1) * n)).at[:n, :n].set(first.P)
     zero = jnp.asarray(0)
@@ -55,21 +55,21 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
         xhat=first.mean,
         clones=jnp.zeros((J, n)),
         P=P,
-        at=zero,
-        taken=jnp.full(J, -1),
-        made=zero,
+        covariance_tick=zero,
+        sampling_ticks=jnp.full(J, -1),
+        n_clones=zero,
         tick=zero,
     )
 
 
 def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Return the memory with the present covariance."""
-    n, age = memory.xhat.shape[0], now.tick - memory.at
+    n, age = memory.xhat.shape[0], now.tick - memory.covariance_tick
     powers = gains.motion.powers
     P_now = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
     across = after(powers, age, memory.P[:n, n:])
     P = jnp.block([[P_now, across], [across.T, memory.P[n:, n:]]])
-    return memory._replace(P=P, at=now.tick)
+    return memory._replace(P=P, covariance_tick=now.tick)
 
 
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
@@ -78,7 +78,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
     def clone(memory: Memory, mask: Array) -> Memory:
         memory = predict_clone(gains, memory, now)
         J, n = memory.clones.shape
-        slot = jnp.arange(J) == memory.made % J
+        slot = jnp.arange(J) == memory.n_clones % J
         row = jnp.repeat(jnp.append(False, slot), n)
         P_rows = jnp.tile(memory.P[:n], (J + 1, 1))
         P = jnp.where(row[:, None], P_rows, memory.P)
@@ -87,8 +87,8 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
         return memory._replace(
             clones=jnp.where((slot & is_sampled)[:, None], memory.xhat, memory.clones),
             P=jnp.where(is_sampled, P, memory.P),
-            taken=jnp.where(slot & is_sampled, now.tick, memory.taken),
-            made=memory.made + is_sampled,
+            sampling_ticks=jnp.where(slot & is_sampled, now.tick, memory.sampling_ticks),
+            n_clones=memory.n_clones + is_sampled,
         )
 
     return vmap_large_as_unit(memory.P, clone)(memory, mask)
@@ -102,7 +102,7 @@ def observer(gain: Gain) -> Observer:
             sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
             n, P = memory.xhat.shape[0], memory.P
             z = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)])
-            slot = jnp.append(False, memory.taken == sample.taken)
+            slot = jnp.append(False, memory.sampling_ticks == sample.tick)
             pair_mask = jnp.repeat(slot.at[0].set(True), n)
             value, is_stored, R = linear_filter.value_of(gains, sample), jnp.any(slot), sample.variances(gains.R)
             for channel in range(gains.C.shape[0]):
@@ -134,7 +134,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     def score(memory: Memory, arrival: Arrival) -> InnovationStats:
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
         z, P = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)]), memory.P
-        slot = jnp.append(False, memory.taken == sample.taken)
+        slot = jnp.append(False, memory.sampling_ticks == sample.tick)
         value, is_stored, total = linear_filter.value_of(gains, sample), jnp.any(slot), kalman.empty_stats()
         R = sample.variances(gains.R)
         for channel in range(gains.C.shape[0]):
@@ -153,7 +153,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance."""
     n = memory.xhat.shape[0]
-    P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P[:n, :n])
+    P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.covariance_tick, memory.P[:n, :n])
     return linear_filter.spread(gains, memory, P)
 
 

@@ -30,7 +30,7 @@ MAX_TICKS = 2000  # ticks of the longest delay; every arrival propagates over it
 
 
 class Gains(NamedTuple):
-    """n states, m inputs, q outputs; `own` contains the parameters of one observer of the family."""
+    """n states, m inputs, q outputs; `extra` contains the parameters of one observer of the family."""
 
     Phi: Float[Leaf, "n n"]
     Gamma: Float[Leaf, "n m"]
@@ -47,7 +47,7 @@ class Gains(NamedTuple):
     stamps: Leaf  # 1: differences between timestamps are used; 0: they are not
     room: Room  # for samples that may arrive after newer ones
     estimated: Room  # [1] the delay is one of the estimated signals; [0]: it is not
-    own: PyTree = ()
+    extra: PyTree = ()
 
 
 class Options(assumed_noise.Options):

@@ -55,7 +55,7 @@ class Gains(NamedTuple):
     H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], its last rows 0 if y is held
     S: Float[Leaf, "p n+p"]  # s = S [xd; y] = Tp (y - C xd)
     pick: Float[Leaf, "r p"]  # fhat = pick v
-    known: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
+    nonlinearity: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
     lag: Int[Leaf, ""]  # [ticks] d
     Phi: Float[Leaf, "n n"]  # one tick
     Gamma: Float[Leaf, "n m"]
@@ -70,8 +70,8 @@ class Memory(NamedTuple):
     y: Float[Array, " p"]  # output d ago, measured, held or predicted
     f: Float[Array, " r"]  # estimate of the unknown input d ago, stored for `estimate`
     response: Float[Array, " n"]  # response to the input of the last d
-    ahead: Float[Array, "n n"]  # e^{A min(t, d)}
-    pushed: Float[Array, "n r"]  # int_0^min(t, d) e^{A s} ds E
+    transition: Float[Array, "n n"]  # e^{A min(t, d)}
+    input_integral: Float[Array, "n r"]  # int_0^min(t, d) e^{A s} ds E
 
 
 class Options(StrictOptions):
@@ -95,8 +95,8 @@ def observer(law: Injection) -> Observer:
             y=gains.C @ xhat0,
             f=f,
             response=jnp.zeros(n),
-            ahead=jnp.eye(n),
-            pushed=jnp.zeros_like(gains.push),
+            transition=jnp.eye(n),
+            input_integral=jnp.zeros_like(gains.push),
         )
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -123,17 +123,17 @@ def observer(law: Injection) -> Observer:
         is_past_lag = now.tick >= gains.lag
         state = rk4(lambda t, m: field(gains, m, now._replace(t=t), m.y), now.t, memory, now.dt)
         xd, w, y = (jnp.where(is_past_lag, new, old) for new, old in zip(state[:3], memory[:3], strict=True))
-        old_response = jnp.where(is_past_lag, memory.ahead @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
+        old_response = jnp.where(is_past_lag, memory.transition @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - old_response
-        ahead = jnp.where(is_past_lag, memory.ahead, gains.Phi @ memory.ahead)
-        pushed = jnp.where(is_past_lag, memory.pushed, gains.Phi @ memory.pushed + gains.push)
+        ahead = jnp.where(is_past_lag, memory.transition, gains.Phi @ memory.transition)
+        pushed = jnp.where(is_past_lag, memory.input_integral, gains.Phi @ memory.input_integral + gains.push)
         f = reconstruct(gains, xd, w, y)
-        return Memory(xd=xd, w=w, y=y, f=f, response=response, ahead=ahead, pushed=pushed)
+        return Memory(xd=xd, w=w, y=y, f=f, response=response, transition=ahead, input_integral=pushed)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
         """Return the present xhat, and the unknown inputs."""
-        xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
-        return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
+        xhat = memory.transition @ memory.xd + memory.response + memory.input_integral @ memory.f
+        return jnp.append(xhat, memory.f - gains.nonlinearity(xhat) if gains.nonlinearity else memory.f)
 
     return Observer(init, no_snapshot, jump, flow, estimate, field)
 
@@ -153,7 +153,7 @@ def gains_of(
     push = linear.one_tick(model._replace(B=np.asarray(model.E)), context.dt)[1] * options.reconstruct
     lag = np.asarray(context.delay[0])
     matrices = {"Lx": Lx, "C": C, "D": model.feedthrough, "F": F, "H": H, "S": S, "pick": pick}
-    return Gains(law=law, **matrices, known=model.known, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
+    return Gains(law=law, **matrices, nonlinearity=model.nonlinearity, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
 
 
 def carries(context: DesignContext, options: Options) -> bool | None:

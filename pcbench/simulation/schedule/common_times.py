@@ -41,13 +41,13 @@ class Sample(NamedTuple):
 
     channel: int
     number: int  # sample number of the channel, from 0
-    taken: int  # tick
+    tick: int  # tick
     arrives: int  # tick, not before `taken`; NEVER: lost
-    ahead: int = 0  # timestamp minus `taken` [ticks]
+    timestamp_error: int = 0  # timestamp minus `taken` [ticks]
 
     def stamp(self, error: int) -> int:
         """Return the assumed sampling tick, `error` ticks earlier; for a sample from before tick 0 the true one."""
-        return max(self.taken - error + self.ahead, 0) if self.taken >= 0 else self.taken
+        return max(self.tick - error + self.timestamp_error, 0) if self.tick >= 0 else self.tick
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
@@ -80,7 +80,7 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
 def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
     """Return (arrival tick, sampling tick, channel) of each of the `samples`, [m, 3]; vectorized for plain clocks."""
     if not all(clock.plain for clock in clocks):
-        return np.array([(s.arrives, s.taken, s.channel) for s in samples(clocks, ticks)], int).reshape(-1, 3)
+        return np.array([(s.arrives, s.tick, s.channel) for s in samples(clocks, ticks)], int).reshape(-1, 3)
     tables = []
     for clock in clocks:
         instants = np.repeat(np.arange(0, ticks + 1, clock.period), len(clock.channels))
@@ -91,7 +91,9 @@ def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
 
 def overtaking(samples: list[Sample]) -> int:
     """Return the largest number of newer samples that arrive before an older one."""
-    times = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in samples if s.arrives < NEVER}), int).reshape(-1, 2)
+    times = np.array(
+        sorted({(s.tick + s.timestamp_error, s.arrives) for s in samples if s.arrives < NEVER}), int
+    ).reshape(-1, 2)
     timestamps, arrives = times.T
     counts, shift = np.zeros(len(times), int), 1
     while shift < len(times) and (timestamps[shift:] < arrives[:-shift]).any():
@@ -108,23 +110,23 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     - They take a snapshot at the assumed sampling tick. A negative error must leave every age at 0 or more.
     - A sample taken before tick 0 measures the initial state.
     """
-    instants = sorted({s.taken for s in samples if s.taken <= ticks})
+    instants = sorted({s.tick for s in samples if s.tick <= ticks})
     packet = {tick: i for i, tick in enumerate(instants)}
     by_arrival: dict[int, dict[int, list[Sample]]] = {}
     for s in samples:
-        if s.taken <= ticks and s.arrives <= ticks:
-            by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
+        if s.tick <= ticks and s.arrives <= ticks:
+            by_arrival.setdefault(s.arrives, {}).setdefault(s.tick, []).append(s)
     slots = max((len(group) for group in by_arrival.values()), default=1)
-    stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
+    stamps = {s.tick: max(s.tick - error + s.timestamp_error, 0) for s in samples}
     snapshots = _snapshots_by_tick(samples, packet, ticks, error)
     early, notes = sum(tick < 0 for tick in instants), max(map(len, snapshots.values()), default=1) - 1
     out = at_no_tick(ticks, channels, slots, early, notes)
     for s in samples:
-        if s.taken < 0:
-            out.early[packet[s.taken], s.channel] = s.number
-        elif s.taken <= ticks:
-            out.sense[s.taken] = packet[s.taken]
-            out.sample[s.taken, s.channel] = s.number
+        if s.tick < 0:
+            out.early[packet[s.tick], s.channel] = s.number
+        elif s.tick <= ticks:
+            out.sense[s.tick] = packet[s.tick]
+            out.sample[s.tick, s.channel] = s.number
     for tick, packets in snapshots.items():
         out.snapshot[tick], out.extra_snapshots[tick, : len(packets) - 1] = packets[0], packets[1:]
     last = 0
@@ -244,8 +246,8 @@ def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int
     """Return the packets for which observers take a snapshot, by tick."""
     out: dict[int, set[int]] = {}
     for s in samples:
-        if s.taken <= ticks and 0 <= s.taken - error + s.ahead <= ticks:
-            out.setdefault(s.taken - error + s.ahead, set()).add(packet[s.taken])
+        if s.tick <= ticks and 0 <= s.tick - error + s.timestamp_error <= ticks:
+            out.setdefault(s.tick - error + s.timestamp_error, set()).add(packet[s.tick])
     return {tick: sorted(packets) for tick, packets in out.items()}
 
 
@@ -262,7 +264,7 @@ def oldest(samples: list[Sample], overtaking: int) -> int:
     K = `overtaking`. The result is the maximum over i.
     """
     times = np.array(
-        sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in samples if s.arrives < NEVER}), int
+        sorted({(max(s.tick + min(s.timestamp_error, 0), 0), s.arrives) for s in samples if s.arrives < NEVER}), int
     ).reshape(-1, 2)
     timestamps, arrives = times.T
     back = 2 * overtaking + 1

@@ -18,7 +18,7 @@ class EventTable(NamedTuple):
     arrival, in the row of the first of them. All other rows are at NEVER.
     """
 
-    taken: Array  # [E, L] tick of each packet
+    sampling_ticks: Array  # [E, L] tick of each packet
     number: Array  # [C, E, L] sample number of each clock in the packet; -1: none
     timestamp: Array  # [E, L] assumed sampling tick of a packet, possibly before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
@@ -49,7 +49,7 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     slot = count - jnp.take_along_axis(count, _first(repeats), 0)
     previous = jnp.take_along_axis(arrives, jnp.maximum(_first(repeats) - 1, 0), 0)
     return EventTable(
-        taken=taken,
+        sampling_ticks=taken,
         number=numbers,
         timestamp=timestamp,
         arrives=jnp.where(is_first, arrives, NEVER),
