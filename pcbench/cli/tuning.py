@@ -195,10 +195,10 @@ def tune(
         elif not quiet:
             gains.tuned_on_log(on_log, observer, log, folder, console())
     elif as_json:
-        summary: TomlTable = {"start": tuning.start, "found": tuning.best, "kept_start": tuning.kept_start}
+        summary: TomlTable = {"start": tuning.start, "best": tuning.best, "kept_start": tuning.kept_start}
         goal = {"metric": tuning.objective.metric, "signal": tuning.objective.name, "unit": tuning.objective.unit}
         summary |= {"goal": goal, "certified": tuning.certified, "exact": tuning.exact}
-        summary |= {"judged": [history.plain(j) for j in tuning.judgements]}
+        summary |= {"judgements": [history.plain(j) for j in tuning.judgements]}
         print(json.dumps(summary | {"points": len(tuning.points), "method": tuning.method}, indent=2))
     elif not quiet:
         gains.print_tuning(tuning, observer, folder, console())

@@ -148,8 +148,8 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
 
 def finish(target: storage.Target, about: str, tuned: Any) -> None:
     """Write the result: a study that can be run, with the record of the tuning under [resolved.tuning]."""
-    record: TomlTable = {"about": about, "start": tuned.start, "found": tuned.best, "kept_start": tuned.kept_start}
-    record |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judgements]}
+    record: TomlTable = {"about": about, "start": tuned.start, "best": tuned.best, "kept_start": tuned.kept_start}
+    record |= {"method": tuned.method, "judgements": [plain(j) for j in tuned.judgements]}
     record |= {"exact": True} if tuned.exact else {}
     record |= {} if tuned.certified is None else {"certified": tuned.certified}
     storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
@@ -166,10 +166,14 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
         if record.pop("about") != task:
             return None
         judgements = []
-        for row in record.pop("judged"):
+        for row in record.pop("judgements"):
             first, count, (start, tuned) = row.pop("first"), row.pop("seeds"), row.pop("diverged")
             judgements.append(Judgement(seeds=seed_range(first, count), diverged=(start, tuned), **row))
-        return record | {"study": study, "judged": judgements, "points": _read_points(target, about, basis, HISTORY)}
+        return record | {
+            "study": study,
+            "judgements": judgements,
+            "points": _read_points(target, about, basis, HISTORY),
+        }
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # missing or damaged: the tuning continues from its history, and writes the result again
 

@@ -47,13 +47,13 @@ class Tuning(NamedTuple):
     study: TomlTable  # the scenario and the observer with the chosen options: the content of tuned.toml
     start: TomlTable  # free parameters at the start
     best: TomlTable  # free parameters at the least value
-    kept_start: str  # why the start is chosen; empty: `found` is chosen
+    kept_start: str  # why the start is chosen; empty: `best` is chosen
     judgements: list[Judgement]
     points: list[Evaluation]
     method: str
     objective: Objective
     certified: bool | None = None  # whether the chosen gains are certified; None: the observer has no gains
-    exact: bool = False  # whether the objective is its expected value; `judged` then contains only that
+    exact: bool = False  # whether the objective is its expected value; `judgements` then contains only that
 
 
 def tune(

@@ -124,7 +124,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         arrival_tick = jnp.asarray(now.tick, float)[None]
         sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, arrival_tick)
         buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
-        present = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
+        present = predict_models(gains, now, at.x, at.P, at.tick, jnp.full_like(at.tick, now.tick))[0]
         return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
 
     return vmap_as_unit(apply)(memory, arrival)
@@ -150,7 +150,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
     def mixture(memory: Memory) -> Array:
         at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
-        x, P = predict_models(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
+        x, P = predict_models(gains, now, at.x, at.P, at.tick, jnp.full_like(at.tick, now.tick))
         share, n = jnp.exp(at.weight), gains.C.shape[1]
         z = jnp.concatenate([x, (gains.dt * gains.extra)[:, None]], 1)
         deviation = z - (share @ z)[None]

@@ -204,7 +204,7 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
         watch = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 in a tail without truth
             values = metrics.read(streams, watch, s.final[:, None], total, early, dt)
-        values["unsettled"] = np.asarray(s.watch.unsettled > tail)[:, None]
+        values["unsettled"] = np.asarray(s.watch.settling_tick > tail)[:, None]
         for metric, each in values.items():
             of_run = each.ndim == 1
             every = zip(signals, each[:, None] if of_run else each, total.max(0) if of_run else total, strict=False)

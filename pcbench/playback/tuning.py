@@ -357,7 +357,7 @@ def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     summary: dict[str, object] = {
         "about": about,
         "start": tuned.start,
-        "found": tuned.best,
+        "best": tuned.best,
         "kept_start": tuned.kept_start,
     }
     summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}

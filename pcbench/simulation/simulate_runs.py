@@ -283,7 +283,7 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
         age, since, silent = jnp.full(mask.shape, k - plan.timestamp[k, slot]), plan.ticks_since_arrival[k, slot], None
         if p.trigger:
             silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
-            values, since = jnp.where(mask, values, 0.0), k - run.sensors.last
+            values, since = jnp.where(mask, values, 0.0), k - run.sensors.last_arrival
             has_arrived |= (number >= 0) & jnp.any(mask)
         arrival = partial(Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=since, silent=silent)
         memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)

@@ -42,13 +42,13 @@ def test_noise_and_tests_are_those_of_the_page(printed):
     for name, start, value, interval, _ in tables(PAGES[PAGE], "intensity"):
         row = found[name]
         assert row["start"] == pytest.approx(float(start))
-        assert [row["found"], row["low"], row["high"]] == pytest.approx(
+        assert [row["value"], row["low"], row["high"]] == pytest.approx(
             [float(text) for text in (value, *interval.split(" to "))], rel=0.05
         )
     rows = {name: cells for name, *cells in tables(PAGES[PAGE], "result")}
     for i, tuned in enumerate((first, again)):
         held_out = tuned["held_out"]["tuned"]
-        assert is_printed(tuned["found"]["R"] ** 0.5, rows["standard deviation of the receiver's noise [m/s]"][i])
+        assert is_printed(tuned["best"]["R"] ** 0.5, rows["standard deviation of the receiver's noise [m/s]"][i])
         assert float(rows["ljung_box_p of the held-out part"][i]) == pytest.approx(held_out["ljung_box_p"], rel=0.05)
         nis, verdict = rows["NIS of the held-out part"][i].split(", ")
         assert is_printed(held_out["nis"], nis)

@@ -63,7 +63,7 @@ def test_its_numbers_come_out(sitting):
     tuned = json.loads(said["tune"])
     found = {row["name"]: row for row in tuned["intensities"]}
     for name, printed, true in (("R", (0.00088, 0.00080, 0.00096), 0.03), ("Q[1]", (0.0025, 0.0020, 0.0031), 0.05)):
-        assert [found[name][key] for key in ("found", "low", "high")] == pytest.approx(printed, rel=0.03)
+        assert [found[name][key] for key in ("value", "low", "high")] == pytest.approx(printed, rel=0.03)
         assert found[name]["low"] < true**2 < found[name]["high"]
     rest = tuned["held_out"]["tuned"]
     assert [rest["nis"], rest["ljung_box_p"], tuned["gain"], tuned["gain_se"]] == pytest.approx(

@@ -187,7 +187,7 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
     )
     assert len(looked) == in_a_piece - 4
     said = json.loads(capsys.readouterr().out)
-    assert said["found"] == whole.best
+    assert said["best"] == whole.best
     assert said["intensities"] == [i._asdict() for i in whole.intensities]
     assert (said["points"], said["gain"], said["kept_start"]) == (len(whole.points), whole.gain, "")
     assert said["held_out"]["tuned"]["nis"] == whole.held_out["tuned"]["nis"]

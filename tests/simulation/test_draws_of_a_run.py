@@ -68,4 +68,4 @@ def test_samples_from_before_tick_0_have_measured_the_start_with_noise_of_their_
     for number, arrives in enumerate(range(0, CASE.ticks + 1, EVERY)):
         v = np.array([drawn(jax.random.normal, MEASUREMENT, j, number) for j in range(2)])
         want = ODD.C @ got.x[max(arrives - LATE, 0)] + CASE.noise_std * v
-        np.testing.assert_allclose(got.arrived[arrives], want, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(got.newest[arrives], want, rtol=1e-12, atol=1e-13)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, context, inputs, noise, problem, recorder, starts
+from harness import CART, ODD, Case, context_of, inputs, noise, problem, recorder, starts
 from reference import event_triggered
 from reference import linear as reference
 
@@ -48,7 +48,7 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 def recorded(case, d, one):
     """One run of kf and kf-event, samples by the reference, and the variances that both assume."""
-    known = context(case)._replace(send_threshold=() if one else tuple(d.tolist()))
+    known = context_of(case)._replace(send_threshold=() if one else tuple(d.tolist()))
     designs = {o: OBSERVERS[o].design(known, OBSERVERS[o].options()) for o in ("kf", "kf-event")}
     layout, p = problem(case, {"kf": {}, "kf-event": {}})
     p = p._replace(gains={o: each.gains for o, each in designs.items()}, trigger=Trigger(d, np.asarray(one)))
