@@ -114,7 +114,7 @@ def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) 
 
 
 def enough(n: int, error: float, goal: float) -> int:
-    """Return the seeds that a standard error from `has` seeds needs to reach its goal; it decreases with their root."""
+    """Return the seeds that a standard error from `n` seeds needs to decrease to its goal; it is inverse to their root."""
     if error <= goal:
         return n
     return ceil(n * min(MARGIN * (error / goal) ** 2, GROWTH))

@@ -114,7 +114,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
 
 
 def _require_ours(target: storage.Target, prefixes: tuple[str, ...] = ()) -> None:
-    """Raise UserError if a target without blocks contains files other than `ours` and the known files of a dataset."""
+    """Raise UserError if a target without blocks has a file that is not a dataset's and begins with none of `prefixes`."""
     for name in storage.names(target):
         if not name.startswith((*BESIDE, *prefixes)):
             raise UserError(

@@ -32,7 +32,7 @@ def keep(target: storage.Target, study: Study) -> None:
 
 
 def files_in(target: storage.Target, table: TomlTable) -> Files:
-    """Return the digests of the copies of users' code of the study with the text `there`."""
+    """Return the digests of the copies of users' code of the study in `table`."""
     folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in table["resolved"].get("code", {}).items()}
     return {
         name: {PurePosixPath(file).name: _digest(storage.text(target, file)) for file in storage.names(target, folder)}
@@ -69,7 +69,7 @@ def copy(target: storage.Target, into: storage.Target) -> None:
 
 
 def gate(target: storage.Target, table: TomlTable, run: bool) -> Gate:
-    """Return what the study with the text `there` may access: no files, and code only if it will be `run`.
+    """Return what the study in `table` may access: no files, and code only if it will be `run`.
 
     Without its code, an observer or controller has the options of the text, and a plant the facts of the text.
     Scenarios by MODULE:NAME are always refused, because the study of a dataset contains their tables.

@@ -81,7 +81,7 @@ def _of_observers(facts: Facts, observers: Sequence[str], cells: Indices, observ
 
 
 def common_columns(head: Head, seeds: Indices, signals: Signals) -> dict[str, pa.Array]:
-    """Return the shared columns of the tables of a cell's runs, one row per seed and signal; `head` has the `keys`."""
+    """Return the shared columns of the tables of a cell's runs, one row per seed and signal; `head` has the keys."""
     row = columns.table(
         {name: [value] for name, value in head.items() if name != "scenario"}
     )  # as `observer`: in the path

@@ -56,7 +56,7 @@ class Horizon(NamedTuple):
 class Window(NamedTuple):
     """The newest M samples, oldest first, with the estimates at each; in an empty place `mask` is False and the tick is 0."""
 
-    mean: Float[Array, " N"]  # of the newest sample, propagated to tick `taken`
+    mean: Float[Array, " N"]  # of the newest sample, propagated to tick `tick`
     P: Float[Array, "N N"]
     tick: Int[Array, ""]
     samples: Measurement  # [M]

@@ -103,7 +103,7 @@ def response_size(p: Plan, label: str) -> Floats | None:
 
 
 def describe_response(p: Plan, size: Floats, mask: NDArray[np.bool_]) -> str:
-    """Return a clause about the largest response among the states `which` [n]."""
+    """Return a clause about the largest response among the states of `mask` [n]."""
     i = int(np.argmax(np.where(mask, size, 0.0)))
     name, unit = signals_of(p.cell.scenario)[i]
     reaches = amount(float(size[i]), unit)

@@ -43,7 +43,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     """Return the ticks of commands to store.
 
     - `back`: enough to read all inputs since the oldest sample that may still be used, including the actuator's delay.
-    - `ahead`: past the end, until the last command acts.
+    - `lookahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     age = oldest(cell, overtaking, ticks)
@@ -77,7 +77,7 @@ def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerC
 
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network.Line]:
-    """Return the parameters of controller and actuator line, from `reach.back` ticks before 0 to `reach.ahead` past the end.
+    """Return the parameters of controller and actuator line, from `reach.back` ticks before 0 to `lookahead` past the end.
 
     Raises UserError if a user-defined controller violates the protocol.
     """

@@ -1,7 +1,7 @@
 """Scenarios: the true plant, its input, its measurement, the assumptions of designs, and the scoring of runs.
 
 All in seconds and SI units; n states, s unknown inputs or parameters, q outputs, states in the plant's order. The field names
-of the five records are unique. So an axis, a column or an option can refer to `delay`, and `having` finds its record. The
+of the five records are unique. So an axis, a column or an option can refer to `delay`, and `with_fields` finds its record. The
 meaning and unit of an axis are in `pcbench.fields`.
 """
 

@@ -5,7 +5,7 @@
 (26) is printed K = P C' R, but the printed gains need R^-1. The printed Q = 0.001 I does not give them either: the process
 noise acts through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, section 5.
 
-`near` returns units of 1000^k (k whole) for an LMI, because its solution depends on the units of the states.
+`nearest_scale` returns units of 1000^k (k whole) for an LMI, because its solution depends on the units of the states.
 """
 
 from bisect import bisect

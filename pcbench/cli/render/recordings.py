@@ -180,7 +180,7 @@ def _plain(value: float | None, scale: float = 1.0) -> str:
 
 
 def table(result: Any, double: dict[str, Any], single: dict[str, Any], source: str, screen: Screen) -> None:
-    """Print the differences between C and a simulation, or the replay `of` a recording, in both precisions, and the errors."""
+    """Print the differences between C and a simulation, or the replay of a recording (`source`), in both precisions."""
     about = result.about
     names = [name for name, _ in about.signals if name in double]
     columns = [

@@ -38,7 +38,7 @@ class Posterior(NamedTuple):
 
     mean: Float[Array, " joint"]  # states and estimated unknowns, and possibly a copy of both
     P: Float[Array, "joint joint"]
-    tick: Int[Array, ""]  # tick
+    tick: Int[Array, ""]
 
 
 def gain(Pc: Float[Array, " n"], variance: Float[Array, ""], mask: Bool[Array, ""]) -> Float[Array, " n"]:

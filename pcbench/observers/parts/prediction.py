@@ -41,8 +41,8 @@ class Motion(NamedTuple):
 class Point(NamedTuple):
     """An estimate at the time of a sample."""
 
-    free: Float[Array, " n"]  # xhat - g at tick `taken`
-    tick: Int[Array, ""]  # tick
+    free: Float[Array, " n"]  # xhat - g at tick `tick`
+    tick: Int[Array, ""]
 
 
 class Memory(NamedTuple):

@@ -5,7 +5,7 @@
 The propagation starts from the state after the preceding sample, and uses the inputs of those ticks. A copy is propagated to
 the present in the same way; it is the present estimate. So a sample of any age is used at its sampling time. An
 out-of-sequence sample is inserted, and newer ones are used again (`parts/reorder_buffer`). A state is a NamedTuple with its
-tick `taken`.
+sampling tick `tick`.
 """
 
 from collections.abc import Callable

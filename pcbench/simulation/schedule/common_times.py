@@ -41,9 +41,9 @@ class Sample(NamedTuple):
 
     channel: int
     number: int  # sample number of the channel, from 0
-    tick: int  # tick
-    arrives: int  # tick, not before `taken`; NEVER: lost
-    timestamp_error: int = 0  # timestamp minus `taken` [ticks]
+    tick: int  # at which it is taken
+    arrives: int  # tick, not before `tick`; NEVER: lost
+    timestamp_error: int = 0  # timestamp minus `tick` [ticks]
 
     def stamp(self, error: int) -> int:
         """Return the assumed sampling tick, `error` ticks earlier; for a sample from before tick 0 the true one."""
