@@ -159,7 +159,7 @@ def filled(grid: Grid, execute: executors.Executor) -> Turn:
         took = perf_counter() - began[0], of_workers() - began[1]
         if (busy := len({name for name, _ in cost.compiled})) != 2:
             raise SystemExit(f"own_code: got {busy} workers that worked, expected 2.")
-        tables = [block_files.read(target, block) for block in block_files.present(target)]
+        tables = [block_files.read_block(target, block) for block in block_files.present(target)]
         return Turn([[c.to_numpy() for c in table.columns if c.type == "double"] for table in tables], took)
 
 

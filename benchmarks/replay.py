@@ -42,7 +42,7 @@ def made(folder: Path, many: int) -> None:
     y = np.sin(t) + NOISE * rng.normal(size=many)
     batch = Batch(np.zeros(many, int), t, t + LATE * DT, y, np.arange(1, many + 1))
     for name, table in tables.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
-        single_table.put(folder / f"{name}.parquet", table)
+        single_table.write_table(folder / f"{name}.parquet", table)
 
 
 def plain(many: int) -> np.ndarray:

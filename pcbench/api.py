@@ -23,7 +23,7 @@ from pcbench.runtime.progress import SILENT, Progress
 from pcbench.scenarios.sources import units
 from pcbench.study import parse
 from pcbench.study.grid import engine_warnings
-from pcbench.study.parse import Described
+from pcbench.study.parse import StudyLike
 from pcbench.study.plugins.user_plants import plain
 from pcbench.synthesis.certificate import Design, is_certified
 from pcbench.toml_text import TomlTable
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    study: Described,
+    study: StudyLike,
     *,
     seeds: int | None = None,
     first_seed: int | None = None,
@@ -99,7 +99,7 @@ def run(
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "evaluation": evaluation}, overrides or [])
     with config.float64():
-        how = run_study.How(
+        how = run_study.RunOptions(
             overwrite=overwrite,
             until_se=until_se,
             max_seeds=plain(max_seeds),
@@ -130,7 +130,7 @@ def run(
 
 
 def exact_moments(
-    study: Described,
+    study: StudyLike,
     *,
     observers: str | Sequence[str] | None = None,
     axes: Mapping[str, object] | None = None,
@@ -174,7 +174,7 @@ def exact_moments(
 
 
 def simulate(
-    scenario: Described,
+    scenario: StudyLike,
     observers: str | Sequence[str],
     *,
     seed: int = 0,
@@ -232,7 +232,7 @@ def simulate(
     if log is not None:
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
         for name, table in tables.items():
-            single_table.put(Path(log) / f"{name}.parquet", table)
+            single_table.write_table(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     keys = {name: key for name, (key, _) in zip(p.labels, p.layout.observers, strict=True)}
@@ -262,7 +262,7 @@ def simulate(
 
 
 def operation_counts(
-    study: Described, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
+    study: StudyLike, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
 ) -> "pd.DataFrame":
     """Count the multiplications and the memory of observers.
 
@@ -309,7 +309,7 @@ def _forward_fill(arrived: np.ndarray) -> np.ndarray:
 
 
 def design(
-    scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
+    scenario: StudyLike, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> Design:
     """Compute an observer's gains in a scenario, with their certificate.
 
@@ -344,7 +344,7 @@ SIMULATION_ONLY = (
 
 
 def tune(
-    scenario: Described,
+    scenario: StudyLike,
     observer: str,
     *,
     log: str | Path | None = None,

@@ -14,14 +14,14 @@ from pcbench.planning import all_observers
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
 from pcbench.study import controller_table, parse
 from pcbench.study.grid import Cell, Grid
-from pcbench.study.parse import Described
+from pcbench.study.parse import StudyLike
 
 ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
 LINEAR = 1e-5  # what a linear model may be off where a run is near the operating point
 MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 
-def load_grid(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
+def load_grid(study: StudyLike, overrides: Sequence[str]) -> tuple[Grid, str]:
     """Return a study with its cells and a text of its sizes; raise UserError that names the wrong entry."""
     grid = all_observers.grid_of(study, {}, list(overrides))
     names = ", ".join(dict.fromkeys(c.scenario.name for c in grid.cells))
@@ -158,6 +158,6 @@ CHECKS: dict[str, Callable[[Grid], str]] = {
 NEEDS = {"": (), "perfect start": ("gains",), "runs": ("gains",)}
 
 
-def findings(study: Described, overrides: Sequence[str] = ()) -> list[Finding]:
+def findings(study: StudyLike, overrides: Sequence[str] = ()) -> list[Finding]:
     """Return the results of all checks of a study."""
     return ask("reads", partial(load_grid, study, overrides), CHECKS, NEEDS)

@@ -93,7 +93,7 @@ def report(
                 width=base.width if width is None else width,
                 size=base.size if size is None else size,
                 font=base.font if font is None else font,
-            ).checked()
+            ).validate()
             if is_replay:
                 paths = replay_page.write_figures(folder, figures, options._replace(paper=paper), kinds)
             else:
@@ -104,7 +104,7 @@ def report(
 
             where = f"{folder.rstrip('/')}/report.html" if file is None else file
             if is_replay:
-                n_bytes = page.put(replay_page.page(replay_frames.open_replay(folder), options.signals), where)
+                n_bytes = page.write_page(replay_page.page(replay_frames.open_replay(folder), options.signals), where)
             else:
                 n_bytes = page.write(folder, where, progress, options)
             bytes_ = f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.0f} kB"
@@ -224,7 +224,7 @@ def reproduce(
     with show_progress(quiet or as_json) as progress:
         by_paper = every.claims(progress)
     if page is not None:
-        storage.put(storage.target(page.parent), page.name, text_of(by_paper).encode())
+        storage.write_file(storage.target(page.parent), page.name, text_of(by_paper).encode())
     if as_json:
         papers = [_data(name, PAPERS[name][0], rows) for name, rows in by_paper.items()]
         print(

@@ -270,7 +270,7 @@ def simulate(
     single_table.kind_of(file)
     frame = api.simulate(scenario, names(observer), seed=seed, overrides=changes, log=log)
     say(*all_observers.sentences(frame.attrs["excluded"]))
-    single_table.put(file, single_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
+    single_table.write_table(file, single_table.trace_table(frame, signals_of(parse.scenario_of(scenario, changes))))
     print(f"{file}: {len(frame):,} ticks, columns {', '.join(frame.columns)}")
 
 

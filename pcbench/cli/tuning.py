@@ -46,7 +46,7 @@ def design(
             single_table.kind_of(file)
         table = design.trade_off(scenario, observer, *_values(sweep), gain=gain, overrides=changes)
         if file is not None:
-            single_table.put(file, pa.Table.from_pandas(table, preserve_index=False))
+            single_table.write_table(file, pa.Table.from_pandas(table, preserve_index=False))
         if as_json:
             print(readable(table.to_dict("records")))
         else:
@@ -60,7 +60,7 @@ def design(
     if file is not None:
         target = storage.target(Path(file).parent)
         storage.make(target)
-        storage.put(target, Path(file).name, text.encode())
+        storage.write_file(target, Path(file).name, text.encode())
     if as_json:
         fields = result.certificate._asdict()
         print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))

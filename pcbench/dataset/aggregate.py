@@ -129,7 +129,7 @@ def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Itera
         start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
             continue
-        results = results_of(block_files.read(c.target, block))
+        results = results_of(block_files.read_block(c.target, block))
         while start < stop:
             chunk = start // statistics.CHUNK
             if parts and chunk != at:

@@ -65,7 +65,7 @@ def present(target: storage.Target) -> list[Block]:
     return sorted(out)
 
 
-def read(target: storage.Target, block: Block) -> pa.Table:
+def read_block(target: storage.Target, block: Block) -> pa.Table:
     """Return a block's rows, with every page checked; raise UserError with the file's name if it is damaged."""
     table = _table(target, block)
     if isinstance(table, str):

@@ -43,8 +43,8 @@ class ClosingTables(NamedTuple):
 
 def close(target: storage.Target, claim: StudyClaim, tables: ClosingTables, about: Mapping[str, object]) -> None:
     """Write stats.parquet, pairs.parquet, and provenance.json with the facts `about` the run."""
-    storage.put(target, "stats.parquet", tables.stats)
-    storage.put(target, "pairs.parquet", tables.pairs)
+    storage.write_file(target, "stats.parquet", tables.stats)
+    storage.write_file(target, "pairs.parquet", tables.pairs)
     study = {
         "schema": columns.SCHEMA,
         "study": claim.study.name,

@@ -22,7 +22,7 @@ from pcbench.toml_text import TomlTable
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
-BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and noise for external programs: before the runs begin
+KNOWN_FILES = ("tuning/", "training/", "draws/")  # tuned gains, and noise for external programs: before the runs begin
 EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
 OUTPUT_FILES = ("report.html", "fair.parquet", "examples/")  # what other commands write into a dataset by default
 MAX_SHOWN = 3  # differences that a refusal names
@@ -116,7 +116,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
 def _require_ours(target: storage.Target, prefixes: tuple[str, ...] = ()) -> None:
     """Raise UserError if a target without blocks has a file that is not a dataset's and begins with none of `prefixes`."""
     for name in storage.names(target):
-        if not name.startswith((*BESIDE, *prefixes)):
+        if not name.startswith((*KNOWN_FILES, *prefixes)):
             raise UserError(
                 f"{target.name}: holds other files ({name}), expected a new or empty folder; give another one with --out."
             )
@@ -170,7 +170,7 @@ def begin(target: storage.Target, claim: StudyClaim) -> None:
 def renew(target: storage.Target, claim: StudyClaim) -> None:
     """Write the study's text, unless it is already there."""
     if storage.text(target, TEXT) != claim.text.encode():
-        storage.put(target, TEXT, claim.text.encode())
+        storage.write_file(target, TEXT, claim.text.encode())
 
 
 def _drop_resolved(table: TomlTable) -> TomlTable:

@@ -96,7 +96,7 @@ def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = S
             n_duplicates += part.block.seeds.many - sum(seeds.many for seeds in new_ranges)
             ranges += new_ranges
             for block in (part.block._replace(seeds=seeds) for seeds in new_ranges):
-                storage.put(into, block.name, _content(part, block))
+                storage.write_file(into, block.name, _content(part, block))
             progress.step(1)
     for name, (first, *_) in exact.items():
         storage.put_table(into, name, _exact_rows(first, union))
@@ -150,7 +150,7 @@ def _parts(
 def _content(part: Part, block: Block) -> pa.Buffer:
     """The bytes of a part's block for some seeds; if these are all its seeds, the bytes of its file."""
     if block != part.source:
-        return parquet_io.encode_table(_cut(block_files.read(part.target, part.source), block))
+        return parquet_io.encode_table(_cut(block_files.read_block(part.target, part.source), block))
     content = storage.get(part.target, block.name)
     if content is None:
         raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
@@ -171,7 +171,9 @@ def _require_equal(part: Part, other: Part) -> None:
     common_seeds = common(part.block.seeds, other.block.seeds)
     if not common_seeds.many:
         return
-    a, b = (_cut(block_files.read(p.target, p.source), part.block._replace(seeds=common_seeds)) for p in (other, part))
+    a, b = (
+        _cut(block_files.read_block(p.target, p.source), part.block._replace(seeds=common_seeds)) for p in (other, part)
+    )
     if a.equals(b):
         return
     if block_files.about(a)["engine"] == block_files.about(b)["engine"] or not of_one_run(a, b, BETWEEN_ENGINES):
@@ -212,6 +214,6 @@ def _exact_rows(file: ExactFile, union: StudyClaim) -> pa.Table:
     rows = parquet_io.with_column(table, "cell", [number for _, number in keys])
     rows = rows.take(np.argsort([order[key] for key in keys], kind="stable"))
     mark = parquet_io.metadata(table).get(moments_tables.OF)
-    if mark == moments_tables.of(file.claim):  # else the next run computes it again
-        mark = moments_tables.of(union)
+    if mark == moments_tables.mark_of(file.claim):  # else the next run computes it again
+        mark = moments_tables.mark_of(union)
     return parquet_io.seal_table(parquet_io.with_metadata(rows, {moments_tables.OF: mark} if mark else {}))

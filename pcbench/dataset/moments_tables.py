@@ -37,7 +37,7 @@ MAX_REFUSALS = 3  # refusals that are said
 
 def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Compute the exact results of a study if they are missing; return whether it did, and `say` what is not exact."""
-    mark = of(claim)
+    mark = mark_of(claim)
     old_table = load_exact_rows(target)
     if old_table is not None and not claim.overwrite and parquet_io.metadata(old_table).get(OF) == mark:
         return False
@@ -154,7 +154,7 @@ def place(scenario: str, cell: int) -> str:
     return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
 
 
-def of(claim: StudyClaim) -> bytes:
+def mark_of(claim: StudyClaim) -> bytes:
     """Return a digest of a study and of the releases in use; it is the same for all seeds, as exact numbers are."""
     study = claim.study.model_copy(update={"first_seed": 0, "seeds": 1})
     return f"{digest(study, claim.cells)} {sorted(provenance.versions().items())}".encode()

@@ -200,7 +200,7 @@ class Result:
             return dataset.to_table(columns, filter=where).to_pandas()
         except (pa.ArrowException, OSError) as error:
             for block in blocks:
-                block_files.read(target, block)
+                block_files.read_block(target, block)
             raise UserError(
                 f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected whole blocks; see pcbench "
                 f"verify {target.name}."

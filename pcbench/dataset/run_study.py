@@ -29,7 +29,7 @@ from pcbench.study.grid import Grid
 Say = Callable[[str], None]
 
 
-class How(NamedTuple):
+class RunOptions(NamedTuple):
     """Settings of a run. Of these only the number of runs changes a result. See `pcbench.run`."""
 
     overwrite: bool = False
@@ -44,7 +44,7 @@ class How(NamedTuple):
     say: Say = lambda sentence: None
     more: Mapping[str, int] = MappingProxyType({})  # seeds that cells are to have at least, by digest
 
-    def checked(self) -> "How":
+    def checked(self) -> "RunOptions":
         """Return the settings; raise UserError for an invalid value, before the computation starts."""
         for count, where in ((self.block_size, "--block-size"), (self.workers, "--workers"), (self.devices, "devices")):
             if count is not None and count < 1:
@@ -54,9 +54,9 @@ class How(NamedTuple):
         return self
 
 
-def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
+def execute(grid: Grid, out: str | Path | None = None, how: RunOptions | None = None) -> Result:
     """Run a study and return its tables; with `out`, store them in that folder or URI. Raises as `pcbench.run`."""
-    how = (how or How()).checked()
+    how = (how or RunOptions()).checked()
     goal, say, progress = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say, how.progress
     with config.float64(), ExitStack() as stack:
         start, start_time = perf_counter(), datetime.now(UTC)

@@ -29,7 +29,7 @@ def kind_of(out: str | Path) -> str:
     return kind
 
 
-def put(out: str | Path, table: pa.Table) -> None:
+def write_table(out: str | Path, table: pa.Table) -> None:
     """Write a table to a file, completely or not at all."""
     if kind_of(out) == ".parquet":
         storage.put_table(*_place(out), table)
@@ -46,7 +46,7 @@ def as_csv(table: pa.Table) -> bytes:
 
 def put_content(out: str | Path, content: bytes) -> None:
     """Write bytes to a file, completely or not at all; raise UserError if that fails."""
-    storage.put(*_place(out), content)
+    storage.write_file(*_place(out), content)
 
 
 def _place(out: str | Path) -> tuple[storage.Target, str]:

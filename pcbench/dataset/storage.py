@@ -85,7 +85,7 @@ def create(path: str | Path) -> int:
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
 
 
-def put(target: Target, name: str, content: bytes | pa.Buffer, durable: bool = True) -> None:
+def write_file(target: Target, name: str, content: bytes | pa.Buffer, durable: bool = True) -> None:
     """Write bytes under a name below the target, completely or not at all; the target must exist.
 
     If a file is not `durable`, a power failure before `sync` may remove it, but never leaves a part of it.
@@ -147,12 +147,12 @@ def _require_no_link(target: Target, name: str) -> None:
 
 def put_table(target: Target, name: str, table: pa.Table, durable: bool = True) -> None:
     """Write one Parquet file, after a check of its number of rows and its metadata."""
-    put(target, name, parquet_io.encode_table(table), durable)
+    write_file(target, name, parquet_io.encode_table(table), durable)
 
 
 def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
     """Write one JSON file."""
-    put(target, name, (json.dumps(content, indent=2) + "\n").encode())
+    write_file(target, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
@@ -164,7 +164,7 @@ def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
     with ending.uncut():
         try:
             for name, content in files.items():
-                put(target, temporary[name], content)
+                write_file(target, temporary[name], content)
             if target.local:
                 with refusals(target.name):
                     rename_all([(root / temporary[name], root / name) for name in files])

@@ -28,7 +28,7 @@ def keep(target: storage.Target, study: Study) -> None:
         for name, text in plugin.code.files:
             path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
             if storage.text(target, path) != text:
-                storage.put(target, path, text)
+                storage.write_file(target, path, text)
 
 
 def files_in(target: storage.Target, table: TomlTable) -> Files:
@@ -65,7 +65,7 @@ def copy(target: storage.Target, into: storage.Target) -> None:
     """Copy the users' code of one dataset into another."""
     for name in copies(target):
         if (text := storage.text(target, name)) is not None:
-            storage.put(into, name, text)
+            storage.write_file(into, name, text)
 
 
 def gate(target: storage.Target, table: TomlTable, run: bool) -> Gate:

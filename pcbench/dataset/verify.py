@@ -218,7 +218,7 @@ def _verify_task(target: storage.Target, work: task.Work, t: task.Task, hold: ex
     with hold() as device:
         p, results, _, _ = task.simulate_task(work, t, device)
     blocks = [(block_files.block_of(name), rows) for name, rows in task.files(work, t, p, results)]
-    return len(blocks), [s for b, new in blocks if b for s in _difference(b, block_files.read(target, b), new)]
+    return len(blocks), [s for b, new in blocks if b for s in _difference(b, block_files.read_block(target, b), new)]
 
 
 def _difference(b: Block, old_table: pa.Table, new_table: pa.Table) -> Iterator[str]:

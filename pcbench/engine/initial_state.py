@@ -12,7 +12,7 @@ from pcbench.engine import lane_array, lane_forms, steps
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.engine.lane_array import table
 from pcbench.simulation import command_network, metrics, rng, simulate_runs
-from pcbench.simulation.closed_loop import before
+from pcbench.simulation.closed_loop import first_loop_state
 from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, State
 
@@ -37,7 +37,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
     """
     k = jnp.asarray(0)
     memories = _memories(layout, p, root_seed, seeds)
-    loop = vmap_entrywise(partial(before, layout, p))(memories)
+    loop = vmap_entrywise(partial(first_loop_state, layout, p))(memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
         plant_draws=drawn_numbers(layout, root_seed, seeds),

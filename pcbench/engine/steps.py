@@ -80,7 +80,7 @@ def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: P
 
 def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Notes:
     """Return the snapshot of every observer at tick k."""
-    return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
+    return vmap_entrywise(partial(simulate_runs.take_snapshots, layout, p))(k, state.memories, state.commands)
 
 
 def notify_sampled(layout: Layout, p: GridPointParams, k: Array, state: State, mask: PerLane) -> Memories:
@@ -157,7 +157,7 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
             tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
         new_streams = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
         new_watches = {
-            label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, intervals.get(label, ()))
+            label: metrics.update_settling(w, k, e[label], p.band, p.bound, p.jumps, intervals.get(label, ()))
             for label, w in watches.items()
         }
         return new_streams, new_watches, tracking
@@ -189,7 +189,7 @@ def control(layout: Layout, p: GridPointParams, k: Array, state: State, draws: P
     def one_lane(k: Array, lane: Lane, law: PyTree, effort: PyTree, draws: PyTree) -> PyTree:
         run = simulate_runs.command(layout, p, k, lane.run._replace(law=law), draws)
         if isinstance(p.weights, metrics.Weights):
-            effort = simulate_runs.spend(layout, p, k, run, effort)
+            effort = simulate_runs.add_cost(layout, p, k, run, effort)
         return run.commands, run.law, effort
 
     lane = Lane(state.x, state.memories, state.commands)

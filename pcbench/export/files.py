@@ -18,14 +18,14 @@ from pcbench.errors import UserError
 from pcbench.export import c_files, c_replay, numbers, observer_to_c, recording, structs
 from pcbench.export.c_files import About
 from pcbench.export.structs import Vector
-from pcbench.planning import alone, context_of, draft, loop_setup, padding, slowed
+from pcbench.planning import alone, context_of, draft, loop_setup, padding, with_computing_time
 from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
 from pcbench.playback.setup import PlaybackSetup, open_playback
 from pcbench.runtime import config
 from pcbench.study.grid import Cell
 from pcbench.study.labels import title_of_scenario
-from pcbench.study.load import Described
+from pcbench.study.load import StudyLike
 from pcbench.study.parse import one_cell
 from pcbench.synthesis.certificate import DesignContext
 
@@ -54,7 +54,7 @@ class ExportedObserver(NamedTuple):
 
 
 def export_observer(
-    study: Described,
+    study: StudyLike,
     observer: str,
     seed: int = 0,
     overrides: list[str] | None = None,
@@ -88,7 +88,7 @@ def export_observer(
             )
         title = title_of_scenario(spec, cell.scenario.name)
         if log is None:
-            cell = slowed(cell, label)
+            cell = with_computing_time(cell, label)
             (p,) = (alone(plan, spec.root_seed, seed) for plan in padding.fit([draft(cell, cell.options)]))
             ((name, _),), context = p.layout.observers, context_of(p.cell)
             rows = _rows(cell, p.labels[0], context)
@@ -100,7 +100,7 @@ def export_observer(
 def _export_recording(
     title: str,
     log: str | Path,
-    study: Described,
+    study: StudyLike,
     observer: str,
     delay: float | None,
     start: float | None,

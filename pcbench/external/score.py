@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pcbench.dataset import block_files, manifest, run_study, storage, stored_code, task
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import How, Say
+from pcbench.dataset.run_study import RunOptions, Say
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError, short, unknown
 from pcbench.external import runs
@@ -84,7 +84,7 @@ def score(
         cells = [cell for cell in claim.cells if name in cell.options]
         signals = {cell.key: [s for s, _ in estimated_of(cell.scenario)] for cell in cells}
         every = list(dict.fromkeys(s for names in signals.values() for s in names))
-        tables = sort_by_cell(read(file), where, every, cells[0].key if len(cells) == 1 else None)
+        tables = sort_by_cell(read_estimates(file), where, every, cells[0].key if len(cells) == 1 else None)
         seeds = _seeds(target, grid)
         blocks = []
         progress.begin("runs", seeds.many * len(cells))
@@ -105,7 +105,7 @@ def score(
             file_name, rows = task.block(work, p, name, results, seeds)
             storage.put_table(target, file_name, rows)
         say(f"{name}: {TRUSTED}")
-        return run_study.execute(grid, folder, How(progress=progress, say=say))
+        return run_study.execute(grid, folder, RunOptions(progress=progress, say=say))
 
 
 def extend_study(target: storage.Target, name: str) -> Grid:
@@ -172,7 +172,7 @@ def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
         settling: Any = _settling(size, p)
     digits.require_of(p, x[:, n - 1].T, sums.absolute[1:].sum(0) / (n - tail))
     falls = bool((p.problem.jumps < n).any())
-    return metrics.read(sums, settling, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
+    return metrics.finalize(sums, settling, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
 
 
 def _settling(size: Floats, p: Plan) -> SettlingState:
@@ -192,7 +192,7 @@ def _settling(size: Floats, p: Plan) -> SettlingState:
     return SettlingState(unsettled.astype(float), recovery, first.astype(float))  # type: ignore[arg-type]
 
 
-def read(file: str | Path) -> pd.DataFrame:
+def read_estimates(file: str | Path) -> pd.DataFrame:
     """Return the table of a Parquet or CSV file; raise UserError if it cannot be read."""
     path = Path(file).expanduser()
     try:

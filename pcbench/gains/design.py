@@ -13,12 +13,12 @@ from pydantic import BaseModel, ValidationError
 from pcbench.errors import UserError, unknown
 from pcbench.observers import ObserverSpec
 from pcbench.observers.parts.options import WAY, extra
-from pcbench.planning import context_of, run_design, slowed
+from pcbench.planning import context_of, run_design, with_computing_time
 from pcbench.runtime import config
 from pcbench.study import Study
 from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
-from pcbench.study.parse import Described, one_cell
+from pcbench.study.parse import StudyLike, one_cell
 from pcbench.study.plugins.references import absolute
 from pcbench.synthesis.certificate import Design, is_certified
 from pcbench.toml_text import TomlTable
@@ -33,7 +33,7 @@ HIDDEN = ("P", "P1", "P2", "shared_P")  # numbers of a certificate that a trade-
 
 
 def design(
-    scenario: Described, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
+    scenario: StudyLike, observer: str, *, gain: str | None = None, overrides: list[str] | None = None
 ) -> tuple[Study, Cell, Design]:
     """Return an observer's design in the one cell of a scenario; `gain` is one of the observer's design methods.
 
@@ -49,7 +49,11 @@ def design(
         if gain not in valid:
             raise unknown("--gain", f"design method of {label}", gain, valid)
         study, cell = one_cell(replace_options(study, label, {option_name: gain}), [label], [])
-    return study, cell, run_design(label, cell.entry(label), context_of(slowed(cell, label)), cell.options[label])
+    return (
+        study,
+        cell,
+        run_design(label, cell.entry(label), context_of(with_computing_time(cell, label)), cell.options[label]),
+    )
 
 
 def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTable:
@@ -81,7 +85,7 @@ def to_toml(table: TomlTable) -> str:
 
 
 def trade_off(
-    scenario: Described,
+    scenario: StudyLike,
     observer: str,
     option: str,
     values: Sequence[object],
@@ -170,7 +174,7 @@ def _recertify(study: Study, cell: Cell, observer: str, options: TomlTable) -> T
     for candidate in (*slow_candidates, {k: v for k, v in options.items() if k != "decay" or not v}):
         try:
             explicit = replace_options(study.model_copy(update={"options": {}}), observer, candidate)
-            context = context_of(slowed(cell, observer))
+            context = context_of(with_computing_time(cell, observer))
             run_design(observer, cell.entry(observer), context, one_cell(explicit, [observer], [])[1].options[observer])
         except UserError:
             continue

@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from pcbench.dataset import parquet_io, run_study, storage
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import How
+from pcbench.dataset.run_study import RunOptions
 from pcbench.dataset.verify import FAIR
 from pcbench.gains.gain_variants import ExplicitStudy, Version, training_study
 from pcbench.gains.objective import Objective
@@ -16,7 +16,7 @@ from pcbench.study import parse
 from pcbench.toml_text import TomlTable
 
 
-def report(explicit_study: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
+def report(explicit_study: ExplicitStudy, result: Result, out: str | Path | None, how: RunOptions) -> Result:
     """Return the result with its table `fair`, which compares versions on training seeds, on other seeds and with the bound.
 
     It has one row per cell and version. `training` and `held_out` are means of the objective with their standard errors; for

@@ -22,7 +22,7 @@ import numpy as np
 
 from pcbench import planning
 from pcbench.dataset import run_study, storage
-from pcbench.dataset.manifest import BESIDE, TEXT
+from pcbench.dataset.manifest import KNOWN_FILES, TEXT
 from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.errors import UserError
 from pcbench.gains import objective_eval, parameters, tune, validation
@@ -220,17 +220,17 @@ def _require_study_folder(study: Study, out: str | Path | None, overwrite: bool)
         return
     target = storage.target(str(out))
     manifest, names = storage.text(target, TEXT), storage.names(target)
-    other_files = [name for name in names if not name.startswith(BESIDE)]
+    other_files = [name for name in names if not name.startswith(KNOWN_FILES)]
     if manifest is None and other_files:
         raise UserError(
             f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one with --out."
         )
-    if manifest is not None and not any(name.startswith(BESIDE) for name in names) and not overwrite:
+    if manifest is not None and not any(name.startswith(KNOWN_FILES) for name in names) and not overwrite:
         raise UserError(
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --overwrite."
         )
-    tunings = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
+    tunings = re.compile(rf"{KNOWN_FILES[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
     for name in [name for name in names if overwrite and tunings.fullmatch(name)]:
         storage.remove(target, name)
 
@@ -261,7 +261,7 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
     trial_study = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(trial_study, [observer], [])[1]
     entry, cell_options = cell.entry(observer), cell.options[observer]
-    context = planning.context_of(planning.slowed(cell, observer))
+    context = planning.context_of(planning.with_computing_time(cell, observer))
     design = planning.run_design(observer, entry, context, cell_options)
     try:
         return bool(tune.free_parameters(observer, entry, context, cell_options, design, only, study.name))

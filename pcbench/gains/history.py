@@ -152,7 +152,7 @@ def finish(target: storage.Target, about: str, tuned: Any) -> None:
     record |= {"method": tuned.method, "judgements": [plain(j) for j in tuned.judgements]}
     record |= {"exact": True} if tuned.exact else {}
     record |= {} if tuned.certified is None else {"certified": tuned.certified}
-    storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
+    storage.write_file(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
 
 
 def load_finished(target: storage.Target, task: str, about: str, basis: TomlTable) -> TomlTable | None:
@@ -186,7 +186,7 @@ def copy_from_cache(target: storage.Target, task: str, about: str, basis: TomlTa
         if not storage.names(target) and load_finished(source, task, about, basis):
             storage.make(target)
             for name in (HISTORY, FOUND):  # in this order, because a result without its history is invalid
-                storage.put(target, name, (place / name).read_bytes())
+                storage.write_file(target, name, (place / name).read_bytes())
 
 
 def keep_result(target: storage.Target, task: str, basis: TomlTable) -> None:

@@ -73,7 +73,7 @@ def start(
     def accepts(parameter: Free, at: Vector) -> bool:
         """Return whether the option accepts such a value, for example a list with one entry per output."""
         try:
-            put(options, [parameter._replace(first=0)], at)
+            with_values(options, [parameter._replace(first=0)], at)
         except ValidationError:
             return False
         return True
@@ -135,12 +135,12 @@ def entries(free: list[Free]) -> list[str]:
     return [f.name if f.size == 1 else f"{f.name}[{i}]" for f in free for i in range(f.size)]
 
 
-def put(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
+def with_values(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
     """Return the options with the free parameters at a point, validated like those of a study."""
-    return type(options).model_validate(options.model_dump() | written(free, at))
+    return type(options).model_validate(options.model_dump() | to_options(free, at))
 
 
-def written(free: list[Free], at: Vector) -> TomlTable:
+def to_options(free: list[Free], at: Vector) -> TomlTable:
     """Return the free parameters as a study's TOML has them."""
     out = {}
     for f in free:

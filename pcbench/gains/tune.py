@@ -57,7 +57,7 @@ class Tuning(NamedTuple):
 
 
 def tune(
-    scenario: parse.Described,
+    scenario: parse.StudyLike,
     observer: str,
     *,
     budget: int = BUDGET,
@@ -101,7 +101,7 @@ def tune(
         history.copy_from_cache(target, task, about, basis)
         if record := history.load_finished(target, task, about, basis):
             return Tuning(objective=aim, **record)
-        context = planning.context_of(planning.slowed(cell, observer))
+        context = planning.context_of(planning.with_computing_time(cell, observer))
         start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
         if decay := getattr(cell.options[observer], "decay", None):
             # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
@@ -112,7 +112,7 @@ def tune(
         free, start = free_parameters(observer, entry, context, options, start_design, only, where)
 
         def design(at: Vector) -> Gains:
-            return planning.run_design(observer, entry, context, parameters.put(options, free, at)).gains
+            return planning.run_design(observer, entry, context, parameters.with_values(options, free, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         objective_eval.check_estimates(p, aim, where)
@@ -126,7 +126,7 @@ def tune(
         progress.begin("points", budget)
         progress.note("compiling")
         descend(optimizer_name, trials, start, evaluate, budget, where, progress)
-        tuned_options = parameters.written(free, np.array(trials.best.parameters))
+        tuned_options = parameters.to_options(free, np.array(trials.best.parameters))
         if exact_objective:
             judgements, kept_start = (
                 [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)],
@@ -136,10 +136,10 @@ def tune(
             progress.note("validation on other seeds")
             judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})
             kept_start = rejection_reason(judgements)
-        final_options = parameters.put(options, free, start if kept_start else np.array(trials.best.parameters))
+        final_options = parameters.with_values(options, free, start if kept_start else np.array(trials.best.parameters))
         tuned = Tuning(
             study=with_options(study, observer, {} if kept_start else tuned_options),
-            start=parameters.written(free, start),
+            start=parameters.to_options(free, start),
             best=tuned_options,
             kept_start=kept_start,
             judgements=judgements,
@@ -169,7 +169,7 @@ def free_parameters(
 
     def gains(point: Vector) -> list[Leaf]:
         return optimizers.numbers(
-            planning.run_design(observer, entry, context, parameters.put(options, free, point)).gains
+            planning.run_design(observer, entry, context, parameters.with_values(options, free, point)).gains
         )
 
     sensitive = parameters.sensitive_names(free, at, gains)

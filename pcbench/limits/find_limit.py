@@ -23,7 +23,7 @@ from pcbench import planning
 from pcbench.dataset import manifest, run_study, storage
 from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import How, Say
+from pcbench.dataset.run_study import RunOptions, Say
 from pcbench.errors import DesignError, UserError
 from pcbench.gains import gain_variants
 from pcbench.limits.search import Look, Question, axis_of, notes, question, scale_of, search
@@ -34,7 +34,7 @@ from pcbench.statistics import limit_verdicts
 from pcbench.statistics.limit_verdicts import NULL, REFUSED, Point
 from pcbench.study import fits, grid, observers_of, title_of_scenario
 from pcbench.study.grid import Cell, Grid
-from pcbench.study.load import Described, raw_of, where_of
+from pcbench.study.load import StudyLike, raw_of, where_of
 from pcbench.study.parse import FROM_HERE, build_study, scenario_in
 from pcbench.study.plugins.user_plants import plain
 from pcbench.toml_text import TomlTable
@@ -44,7 +44,7 @@ BUDGET = 16  # times the study's seeds, the default budget
 
 
 def find_limit(
-    study: Described,
+    study: StudyLike,
     *,
     axis: str | Sequence[str],
     threshold: float,
@@ -119,7 +119,7 @@ def find_limit(
         q = _with_gains(q, (scale.also or (scale.low,))[0], folder, overwrite, progress)
         old_values = [] if overwrite else stored_values(folder, q)
         scale = scale._replace(also=(*scale.also, *old_values))
-        look = look_of(q, folder, How(overwrite=overwrite, progress=progress, say=say))
+        look = look_of(q, folder, RunOptions(overwrite=overwrite, progress=progress, say=say))
         results = search(look, scale, threshold, most)
     answers = {o: limit_verdicts.answer(results[o]) for o in observers_of(q.study, q.scenario.name)}
     table = limit_verdicts.table(answers, q.axis.label)
@@ -208,7 +208,7 @@ def stored_values(folder: str | Path, q: Question) -> list[float]:
     return [q.axis.number(value) for value in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 
 
-def look_of(q: Question, folder: str | Path, how: How) -> Look:
+def look_of(q: Question, folder: str | Path, how: RunOptions) -> Look:
     """Return a function that runs a study at values of the axis, and returns the results."""
     why, calls = Refusals({}, {}, {}), list[bool]()
 
@@ -221,7 +221,7 @@ def look_of(q: Question, folder: str | Path, how: How) -> Look:
 
 
 def _run(
-    q: Question, values: list[float], seeds: Mapping[float, int], why: Refusals, folder: str | Path, how: How
+    q: Question, values: list[float], seeds: Mapping[float, int], why: Refusals, folder: str | Path, how: RunOptions
 ) -> Result:
     """Run all supported combinations; if a design fails, leave out the observers without gains and try again."""
     while True:

@@ -113,7 +113,7 @@ def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
 @by_shapes
 def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
     zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _initial_shapes(layout, p)
-    notes = jax.eval_shape(lambda p, r: simulate_runs.take_notes(layout, p, zero, r.memories, r.commands), p, run)
+    notes = jax.eval_shape(lambda p, r: simulate_runs.take_snapshots(layout, p, zero, r.memories, r.commands), p, run)
 
     def arrive(since: Array, p: GridPointParams, run: Run, notes: dict[str, Array]) -> PyTree:
         none = jnp.zeros(q, int)

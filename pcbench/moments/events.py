@@ -77,7 +77,7 @@ def batch(layout: Layout, shape: Shape, inputs: MomentInputs) -> Batch:
 def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, noise: PyTree, inputs: PyTree) -> Array:
     """Return the noise-free measurement and the snapshots of all observers: [f]."""
     y = layout.plant.output(p.params, present(p, k, True), run.x)
-    notes = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
+    notes = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
@@ -91,7 +91,7 @@ def jump(
 ) -> Run:
     """Return the run after a packet [f], if one arrives: `inputs` is (whether, ArrivalInfo)."""
     arrives, row = inputs
-    shapes = jax.eval_shape(lambda run: simulate_runs.take_notes(layout, p, k, run.memories, run.commands), run)
+    shapes = jax.eval_shape(lambda run: simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands), run)
     notes, at = {}, p.noise_std.shape[0]
     for label, _ in layout.observers:
         notes[label] = packet[at : at + shapes[label].shape[0]]

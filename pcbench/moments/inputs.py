@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
-from pcbench.simulation.closed_loop import before
+from pcbench.simulation.closed_loop import first_loop_state
 from pcbench.simulation.schedule.common_times import NEVER, Schedule
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, Packet
@@ -167,7 +167,7 @@ def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, draws: Ar
     scatter = p.scatter * draws[n:] / jnp.sqrt(3.0) if layout.scattered else 0.0  # std of a uniform number in -1 .. 1
     xhat0 = p.xhat0 + scatter
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
-    loop = before(layout, p, memories)
+    loop = first_loop_state(layout, p, memories)
     return Run(
         x=x,
         memories=memories,

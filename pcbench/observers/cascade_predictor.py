@@ -38,7 +38,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import nonlinear_model
 from pcbench.observers.parts.common import known_input, no_snapshot
 from pcbench.observers.parts.options import StrictOptions
-from pcbench.observers.parts.sample_rate import read, ring, write
+from pcbench.observers.parts.sample_rate import at_sample, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import cascade
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate, one_clock, power_of_2
@@ -97,7 +97,7 @@ def next_state(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""
     """Return the state at tick k + 1 - `lag` from that at k - `lag`, where k is the present tick."""
     if gains.motion is None:
         return gains.Phi @ x + gains.Gamma @ now.past_u(lag)
-    past = nonlinear_model.at(now, now.tick - lag)
+    past = nonlinear_model.now_at(now, now.tick - lag)
     return gains.motion(past, jnp.concatenate([x, gains.unknowns]))[: x.shape[0]]
 
 
@@ -107,7 +107,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     past = write(memory.past, k, memory.x, jnp.asarray(True))
     links, y, reference = [], memory.y, memory.y
     for j in range(count):
-        previous = read(past, k - gains.d[j])[j]
+        previous = at_sample(past, k - gains.d[j])[j]
         x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (reference - C @ previous)
         links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
         reference = C @ memory.x[j]

@@ -32,7 +32,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import sample_rate
 from pcbench.observers.parts.common import known_input
 from pcbench.observers.parts.options import StrictOptions, method_option, tunable
-from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, read, ring, write
+from pcbench.observers.parts.sample_rate import ModelRun, Pole, SampledModel, at_sample, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Design, DesignContext, require_certified
@@ -116,7 +116,7 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 
     def link(before: tuple[Array, Array], this: Links) -> tuple[tuple[Array, Array], Array]:
         nonempty = this.source > this.stamp  # a link over no samples passes its inputs on
-        z = read(memory.past, k - this.source)
+        z = at_sample(memory.past, k - this.source)
         expected = C @ z
         y = jnp.stack([_sample(gains, memory, j, this.source, expected[j]) for j in channels])
         ybar = jnp.where(this.has_arrived > 0, y, before[1])
@@ -130,8 +130,10 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
     sample, is_newest = memory.run.sample - age, age == gains.tau[j]
-    has_arrived = jnp.where(is_newest, memory.mask[j], read(memory.has_arrived[j], sample)) & (sample >= 0)
-    return jnp.where(has_arrived, jnp.where(is_newest, memory.value[j], read(memory.residuals[j], sample)), expected)
+    has_arrived = jnp.where(is_newest, memory.mask[j], at_sample(memory.has_arrived[j], sample)) & (sample >= 0)
+    return jnp.where(
+        has_arrived, jnp.where(is_newest, memory.value[j], at_sample(memory.residuals[j], sample)), expected
+    )
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:

@@ -35,11 +35,11 @@ from pcbench.observers.parts.common import no_snapshot, vmap_large_as_unit
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
-    at,
     clip_parameters,
     linearize_output,
     linearize_sensor,
     nearest,
+    now_at,
     predict_joint,
     value_of,
 )
@@ -75,7 +75,7 @@ def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) ->
     """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
     z, P = predict_joint(gains, now, before, sample.tick)
     if gains.sensor is not None:
-        z, P, rejections = by_slope(gains, at(now, sample.tick), before._replace(mean=z, P=P), sample)
+        z, P, rejections = by_slope(gains, now_at(now, sample.tick), before._replace(mean=z, P=P), sample)
         return robust_update.after(before, clip_parameters(gains, z), P, sample.tick, rejections)
     value, rejections, R = value_of(gains, sample.value), [], sample.variances(gains.R)
     n, zeros = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
@@ -118,7 +118,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         lambda state, sample: update(gains, now, state, sample), memory.buffer, sample
     )
     z = lax.fori_loop(
-        newest.tick, now.tick, lambda k, z: clip_parameters(gains, gains.motion(at(now, k), z)), newest.mean
+        newest.tick, now.tick, lambda k, z: clip_parameters(gains, gains.motion(now_at(now, k), z)), newest.mean
     )
     return Memory(buffer, z)
 
@@ -160,7 +160,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = predict_joint(gains, now, first, sample.tick)
-    (y, C), prior = linearize_output(gains, at(now, sample.tick), z), z
+    (y, C), prior = linearize_output(gains, now_at(now, sample.tick), z), z
     value, total, R = nearest(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
         c, r = C[channel], R[channel]
@@ -194,5 +194,5 @@ OBSERVER = Observer(
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; a nonlinear model has no certificate."""
-    guard = robust_update.of(options.gate, options.gate_opens, options.huber)
+    guard = robust_update.make_guard(options.gate, options.gate_opens, options.huber)
     return nonlinear_model.design(context, options, "ekf", guard=guard)

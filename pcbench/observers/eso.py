@@ -75,7 +75,7 @@ def init(gains: Gains, xhat0: Float[Array, " k"]) -> Memory:
 
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     """Correct at the sampling time."""
-    free = prediction.at(gains.motion, before, sample.tick)
+    free = prediction.predict_to(gains.motion, before, sample.tick)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
     return Point(free + gains.L @ innovation, sample.tick)
 

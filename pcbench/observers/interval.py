@@ -114,7 +114,7 @@ def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]
 
 def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
     """Correct at the sampling time."""
-    free = prediction.at(gains.motion, Point(before.free, before.tick), sample.tick)
+    free = prediction.predict_to(gains.motion, Point(before.free, before.tick), sample.tick)
     L = jnp.where(sample.mask[None], gains.L, 0.0)
     innovation = jnp.where(sample.mask, sample.value - gains.C @ (sample.snapshot + free), 0.0)
     columns = (gains.V - L @ (gains.C @ gains.V)) * radius(gains, before, sample.tick)[None]

@@ -40,6 +40,6 @@ class Options(linear_filter.Options):
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, certified by the covariance recursion over the horizon at the (mean) periods."""
-    guard = robust_update.of(options.gate, options.gate_opens, options.huber)
+    guard = robust_update.make_guard(options.gate, options.gate_opens, options.huber)
     reason = "it rejects outliers or decreases their weight" if guard else ""
     return linear_filter.design(context, options, "kf", reason=reason, guard=guard)

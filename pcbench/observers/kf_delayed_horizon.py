@@ -83,7 +83,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:
     """Return the memory after an update by a sample, predicted to `tick`."""
     posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
-    free = prediction.at(gains.motion, linear_filter.point(posterior), tick)
+    free = prediction.predict_to(gains.motion, linear_filter.point(posterior), tick)
     return memory._replace(posterior=posterior, xhat=memory.g + free)
 
 

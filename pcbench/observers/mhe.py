@@ -31,11 +31,11 @@ from pcbench.observers import ekf_iterated
 from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
-    at,
     clip_parameters,
     initial_augmented,
     linearize_output,
     nearest,
+    now_at,
 )
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
@@ -109,8 +109,8 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 
     def tick(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         z, F, Q = carry
-        A = gains.slope(at(now, k), z)
-        return gains.motion(at(now, k), z), A @ F, A @ Q @ A.T + gains.Q
+        A = gains.slope(now_at(now, k), z)
+        return gains.motion(now_at(now, k), z), A @ F, A @ Q @ A.T + gains.Q
 
     return lax.fori_loop(since, until, tick, (z, jnp.eye(z.shape[0]), jnp.zeros_like(gains.Q)))
 
@@ -122,7 +122,7 @@ def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"
 
     def linearize_stage(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
         f, F, Q = stage(gains, now, z, begin, sample.tick)
-        y, H = linearize_output(gains, at(now, sample.tick), next_)
+        y, H = linearize_output(gains, now_at(now, sample.tick), next_)
         value = nearest(gains, sample.value, y) - y + H @ next_
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 

@@ -79,7 +79,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     """Correct at the sampling time, (8a) and (8b)."""
-    free = prediction.at(gains.motion, before, sample.tick)
+    free = prediction.predict_to(gains.motion, before, sample.tick)
     xbar = sample.snapshot + free
     innovation = jnp.where(sample.mask, sample.value - gains.C @ xbar, 0.0)
     return Point(free + gains.L @ innovation, sample.tick)

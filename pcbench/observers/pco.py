@@ -95,7 +95,9 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def step_reduced(gains: Gains, before: ReducedState, sample: Measurement) -> ReducedState:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
-    prior = gains.T @ (sample.snapshot + prediction.at(gains.motion, before.point, sample.tick))  # A_d [y; w] + M
+    prior = gains.T @ (
+        sample.snapshot + prediction.predict_to(gains.motion, before.point, sample.tick)
+    )  # A_d [y; w] + M
     nu = jnp.where(sample.mask, sample.value - prior[:l], 0.0)
     push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)

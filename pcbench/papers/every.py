@@ -26,7 +26,7 @@ def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
     spawn = multiprocessing.get_context("spawn")  # a forked process would inherit jax's threads in an undefined state
     results = {}
     with ProcessPoolExecutor(min(len(names), runner.cores()), spawn) as pool:
-        names_by_future = {pool.submit(of, name): name for name in names}
+        names_by_future = {pool.submit(claims_of, name): name for name in names}
         try:
             for future in as_completed(names_by_future):
                 results[names_by_future[future]] = future.result()
@@ -37,7 +37,7 @@ def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
     return {name: results[name] for name in PAPERS}
 
 
-def of(paper: str) -> list[Claim]:
+def claims_of(paper: str) -> list[Claim]:
     """Return the claims of one paper, computed in a process of pcbench."""
     config.setup()
     return PAPERS[paper][1]()

@@ -4,7 +4,17 @@ All grid points with the same plant and duration share one compiled program. The
 largest of them.
 """
 
-from pcbench.planning.build import alone, bound, draft, drafts, plan, samples_of, schedule_of, slowed, width
+from pcbench.planning.build import (
+    alone,
+    bound,
+    draft,
+    drafts,
+    plan,
+    samples_of,
+    schedule_of,
+    width,
+    with_computing_time,
+)
 from pcbench.planning.design_context import context_of
 from pcbench.planning.memo import run_design
 
@@ -18,6 +28,6 @@ __all__ = [
     "run_design",
     "samples_of",
     "schedule_of",
-    "slowed",
     "width",
+    "with_computing_time",
 ]

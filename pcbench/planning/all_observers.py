@@ -10,12 +10,12 @@ from pcbench.runtime import config
 from pcbench.study import Study, parse
 from pcbench.study.grid import Cell, Grid
 from pcbench.study.labels import entry_in
-from pcbench.study.load import Described, raw_of, where_of
+from pcbench.study.load import StudyLike, raw_of, where_of
 from pcbench.study.parse import ALL, FROM_HERE
 from pcbench.toml_text import TomlTable
 
 
-def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
+def grid_of(study: StudyLike, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a study with its grid, as `parse.grid_of`; "all" is replaced by the observers that can run."""
     raw, where = parse.apply_changes(study, changes, overrides)
     return parse.grid(resolve_observers(raw, where), where, FROM_HERE)
@@ -59,7 +59,7 @@ def _try(raw: TomlTable, where: str, label: str) -> None:
         draft(cell, cell.options)
 
 
-def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+def one_cell(study: StudyLike, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
     """Return a study of these observers with its one grid point, as `parse.one_cell`; "all" becomes those that can run."""
     if ALL not in observers:
         return parse.one_cell(study, observers, overrides)

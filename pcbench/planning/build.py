@@ -129,13 +129,13 @@ def _groups(cell: Cell, cache: memo.Cache, is_limited: bool, split_expensive: bo
     # each has its own program
     separate = [o for o in cell.options if is_separate or (split_expensive and cell.entry(o).expensive)]
     common = {o: values for o, values in cell.options.items() if o not in separate}
-    groups = [(cell, common), *((slowed(cell, o, cache), {o: cell.options[o]}) for o in separate)]
+    groups = [(cell, common), *((with_computing_time(cell, o, cache), {o: cell.options[o]}) for o in separate)]
     if not has_options:
         return [(c, {}) for c, _ in (groups if is_limited else groups[:1])]
     return [group for group in groups if group[1]] or [(cell, {})]
 
 
-def slowed(cell: Cell, label: str, cache: memo.Cache = memo.no_cache) -> Cell:
+def with_computing_time(cell: Cell, label: str, cache: memo.Cache = memo.no_cache) -> Cell:
     """Return a grid point with the samples that an observer's processor has time for (`processor`)."""
     s, speed, times = cell.scenario, cell.scenario.sampling.processor_speed, times_of(cell.scenario)
     if not isfinite(speed):
@@ -233,7 +233,7 @@ def draft(
         drifting=bool(true.parameter_drift and plant.plant.of_run),
         controller=loop_setup.controller(cell),
         scattered=bool(belief.initial_box),
-        pending=loop_setup.pending(cell),
+        pending=loop_setup.max_pending(cell),
         consistency=choices.consistency,
         defined=cell.engine == "definition",
     )

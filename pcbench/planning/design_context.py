@@ -50,11 +50,11 @@ def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
     def overtaking() -> int:
         """Return the largest number of newer samples that arrive before an older one; 0 for one clock with a constant delay."""
         if sampling.any_random(clocks):
-            return random_times.overtaking(clocks, n)
+            return random_times.max_overtaking(clocks, n)
         is_regular = (
             len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
         )
-        return 0 if is_regular else common_times.overtaking(common_times.samples(clocks, n))
+        return 0 if is_regular else common_times.max_overtaking(common_times.samples(clocks, n))
 
     def intervals() -> tuple[int, ...]:
         return tuple(sampling.intervals(clocks[0], n))

@@ -103,7 +103,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
     return law, command_network.line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
 
 
-def pending(cell: Cell) -> int:
+def max_pending(cell: Cell) -> int:
     """Return the number of commands that the network to the plant can hold; 0 for an actuator delay common to all runs."""
     numbers = network(cell)
     return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0

@@ -49,7 +49,9 @@ def results(plan: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Resul
             sums = outcome.streams[name], outcome.watches[name], outcome.final[name]
             effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None
             tracking, n_sent = outcome.tracking or None, outcome.sent if plan.problem.trigger else None
-            parts[label].append(metrics.read(*sums, n, tail, dt, has_jumps, tracking, effort, costs, squares, n_sent))
+            parts[label].append(
+                metrics.finalize(*sums, n, tail, dt, has_jumps, tracking, effort, costs, squares, n_sent)
+            )
     return {
         label: {m: np.concatenate([p[m] for p in batches], -1) for m in batches[0]} for label, batches in parts.items()
     }

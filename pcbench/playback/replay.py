@@ -23,7 +23,7 @@ from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
 from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
-from pcbench.study.load import Described
+from pcbench.study.load import StudyLike
 from pcbench.toml_text import TomlTable
 
 
@@ -54,7 +54,7 @@ class Passage(NamedTuple):
 
 def replay(
     log: str | Path | Frames,
-    plant: Described,
+    plant: StudyLike,
     observers: str | list[str],
     *,
     out: str | Path | None = None,

@@ -203,7 +203,7 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
         streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
         watch = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 in a tail without truth
-            values = metrics.read(streams, watch, s.final[:, None], total, early, dt)
+            values = metrics.finalize(streams, watch, s.final[:, None], total, early, dt)
         values["unsettled"] = np.asarray(s.watch.settling_tick > tail)[:, None]
         for metric, each in values.items():
             of_run = each.ndim == 1

@@ -26,7 +26,7 @@ from pcbench.recordings.windows import Room, stretches, with_stretch
 from pcbench.simulation import shape_checks
 from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 from pcbench.study.grid import Cell
-from pcbench.study.load import Described
+from pcbench.study.load import StudyLike
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
 LENGTH = 1 << 16  # ticks of a part
@@ -63,7 +63,7 @@ class PlaybackSetup(NamedTuple):
 
 def open_playback(
     log: str | Path | Frames,
-    plant: Described,
+    plant: StudyLike,
     observers: list[str],
     *,
     delay: float | None = None,

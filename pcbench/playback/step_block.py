@@ -105,7 +105,7 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
     """Apply the events of tick k: snapshots of samples, then arrivals, the oldest packet first."""
     ((label, o),) = layout.observers
     place, has_sample, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
-    snapshots = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
+    snapshots = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
     notes = jax.tree.map(
         lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.notes, snapshots
     )
@@ -148,7 +148,7 @@ def _update_score(p: GridPointParams, score: Score, k: Array, has_truth: Array, 
     return Score(
         before=metrics.update(score.before, jnp.where(in_tail, 0.0, e)),
         tail=metrics.update(score.tail, jnp.where(in_tail, e, 0.0)),
-        watch=metrics.look(score.watch, k, e, p.band, p.bound, p.jumps),
+        watch=metrics.update_settling(score.watch, k, e, p.band, p.bound, p.jumps),
         final=jnp.where(is_scored, e, score.final),
         counts=score.counts + jnp.stack([is_scored & ~in_tail, is_scored & in_tail]),
     )

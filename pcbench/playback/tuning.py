@@ -33,7 +33,7 @@ from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import parse
 from pcbench.study.labels import label_of
-from pcbench.study.load import Described
+from pcbench.study.load import StudyLike
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design
 
@@ -75,7 +75,7 @@ class LogTuning(NamedTuple):
 
 def tune_log(
     log: str | Path,
-    plant: Described,
+    plant: StudyLike,
     observer: str,
     *,
     budget: int = tune.BUDGET,
@@ -124,7 +124,7 @@ def tune_log(
             )
 
         def design(point: Vector) -> PyTree:
-            return planning.run_design(label, entry, context, parameters.put(options, free, point)).gains
+            return planning.run_design(label, entry, context, parameters.with_values(options, free, point)).gains
 
         def fit(history: History, at: Vector, end: int) -> Vector:
             tune.descend("descent", history, at, lambda point: _value(evaluate(point), end), budget, where, progress)
@@ -175,9 +175,9 @@ def tune_log(
         intensities = _intensities(free, at_start, best, low, high)
         held_out = {what: _judgement(each.numbers[late]) for what, each in (("start", before), ("tuned", after))}
         tuned = LogTuning(
-            study=tune.with_options(study, label, {} if reason else parameters.written(free, best)),
-            start=parameters.written(free, at_start),
-            best=parameters.written(free, best),
+            study=tune.with_options(study, label, {} if reason else parameters.to_options(free, best)),
+            start=parameters.to_options(free, at_start),
+            best=parameters.to_options(free, best),
             kept_start=reason,
             intensities=intensities,
             held_out=held_out,
@@ -186,7 +186,7 @@ def tune_log(
             points=[*trials.points, *refit.points],
             notes=[
                 *a.remarks,
-                *_factors(a, p, parameters.written(free, best)),
+                *_factors(a, p, parameters.to_options(free, best)),
                 *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
             ],
             log_likelihood=total(at_start if reason else best)[0] / float(before.numbers[:, 1].sum()),
@@ -195,7 +195,9 @@ def tune_log(
         _write(tuned, target, about)
         if delays and out is not None:
             stamp_offsets = {d.channel: -d.estimate for d in delays}
-            storage.put(target, CORRECTED, toml_with_offsets(Path(log), stamp_offsets, delay, Path(out)).encode())
+            storage.write_file(
+                target, CORRECTED, toml_with_offsets(Path(log), stamp_offsets, delay, Path(out)).encode()
+            )
         return tuned
 
 
@@ -217,7 +219,7 @@ def _find_delays(
         free, z = tune.free_parameters(label, entry, p.context, options, start_design, names, where)
 
         def design(point: Vector) -> PyTree:
-            return planning.run_design(label, entry, p.context, parameters.put(options, free, point)).gains
+            return planning.run_design(label, entry, p.context, parameters.with_values(options, free, point)).gains
 
         if (gains := likelihood.affine_gains(design, z)) is None:
             raise UserError(
@@ -310,7 +312,7 @@ def _intensities(
     """Return each free number with its interval, whose ends are as in `innovation_tests.intervals`."""
     unknown = np.isnan(high)
     points = (start, best, *(np.where(unknown, best, end) for end in (low, high)))
-    rows = [np.concatenate([np.ravel(v) for v in parameters.written(free, at).values()]) for at in points]
+    rows = [np.concatenate([np.ravel(v) for v in parameters.to_options(free, at).values()]) for at in points]
     rows[2][unknown | np.isneginf(low)] = 0.0
     rows[2][unknown] = rows[3][unknown] = np.nan
     names = parameters.entries(free)
@@ -363,4 +365,4 @@ def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
     summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     summary |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
     record = plain(summary, nulls=False)  # TOML has no null: unknown values are left out
-    storage.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
+    storage.write_file(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

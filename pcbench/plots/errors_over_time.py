@@ -45,7 +45,7 @@ def error_bands(
     """
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
-    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    run = one_run.frame_of(result.study, scenario, result.out, cell, seed)
     if run is None or not has_bands(run, signal):
         raise UserError(
             f"plots.error_bands: got no runs of {scenario} with noise on one schedule, expected some; use another scenario."
@@ -55,14 +55,14 @@ def error_bands(
 
 
 def has_bands(run: pd.DataFrame, signal: str) -> bool:
-    """Return whether a frame of `one_run.of` has the quantiles of |e| of a signal."""
+    """Return whether a frame of `one_run.frame_of` has the quantiles of |e| of a signal."""
     return bool(((run.kind == one_run.MEDIAN) & (run.signal == signal)).any())
 
 
 def draw_bands(
     result: Result, run: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
-    """Draw the bands of a frame of `one_run.of`."""
+    """Draw the bands of a frame of `one_run.frame_of`."""
     part, stats = run[run.signal == signal], frames.rows(result, scenario, signal, "mae")
     arrivals = run.t[run.kind == "arrival"].to_numpy()
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]

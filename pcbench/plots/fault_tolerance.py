@@ -20,7 +20,7 @@ def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd
     stats = frames.rows(result, scenario, signal, metric)
     alone = stats[stats.observer == ALONE].set_index("cell")["mean"]
     at, out = frames.values_at(stats, int(stats.cell.min())), []
-    for axis in frames.varying(stats):
+    for axis in frames.varying_axes(stats):
         part = frames.fix_axes(stats, [axis], {a: v for a, v in at.items() if a != axis})
         if any(isinstance(value, str) for value in part[axis]):
             continue

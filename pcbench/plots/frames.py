@@ -50,7 +50,7 @@ def signals_by_default(result: Result, scenario: str, metric: str = "") -> list[
     return headline or names[:1]
 
 
-def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str = "") -> list[str]:
+def select_signals(result: Result, scenario: str, signals: list[str] | None, metric: str = "") -> list[str]:
     """Return the `signals` that a scenario has; of None those it is known by, of an empty list all.
 
     Raises UserError for one that no scenario of the study has.
@@ -68,7 +68,9 @@ def chosen(result: Result, scenario: str, signals: list[str] | None, metric: str
 def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
     """Return those of the `chosen` signals of a scenario that a metric ranks observers by."""
     return [
-        s for s in chosen(result, scenario, signals, metric) if (result.stats_of(scenario, s).metric == metric).any()
+        s
+        for s in select_signals(result, scenario, signals, metric)
+        if (result.stats_of(scenario, s).metric == metric).any()
     ]
 
 
@@ -149,7 +151,7 @@ def _channel_names(result: Result, cells: pd.DataFrame, axis: str) -> list[str]:
     return [f"y{i + 1}" for i in range(len(scenario.sampling.noise_std))]
 
 
-def varying(part: pd.DataFrame) -> list[str]:
+def varying_axes(part: pd.DataFrame) -> list[str]:
     """Return the axes with more than one value."""
     return [name for name in axes_of(dict.fromkeys(part.columns)) if part[name].nunique(dropna=False) > 1]
 
@@ -213,9 +215,9 @@ def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None =
     Raises UserError where `at` names no axis or no value of one.
     """
     for name in at or {}:
-        if name not in varying(part):
-            raise unknown("at", "axis that varies", name, varying(part))
-    for name in [name for name in varying(part) if name not in free]:
+        if name not in varying_axes(part):
+            raise unknown("at", "axis that varies", name, varying_axes(part))
+    for name in [name for name in varying_axes(part) if name not in free]:
         value = (at or {}).get(name, part[name].iloc[0])
         if value not in set(part[name]):
             raise UserError(
@@ -281,7 +283,7 @@ def standings(
     key, cache = (scenario, signal_of(result, scenario, signal, metric), metric), _STANDINGS.setdefault(result, {})
     if key not in cache:
         part, pairs, out = rows(result, *key), result.pairs_of(*key[:2]), []
-        axes, comparisons = varying(part), ranking.by_cell(pairs[pairs.metric == metric])
+        axes, comparisons = varying_axes(part), ranking.by_cell(pairs[pairs.metric == metric])
         for cell, group in ranking.by_cell(part).items():
             rank = ranking.stood(group, comparisons.get(cell, []))
             first = next(row for row in group if row["observer"] == rank.order[0])
@@ -315,7 +317,7 @@ def key_cell(result: Result, scenario: str | None = None, signal: str | None = N
 
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
     """Return the two axes of a map, across and up: the first two that vary; of these the one with the longer words goes up."""
-    across, up = varying(part)[:2]
+    across, up = varying_axes(part)[:2]
     long = [sum(len(word(name, v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
     return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
 
@@ -329,7 +331,7 @@ def runs_of(part: pd.DataFrame) -> int:
 def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:
     """Return the values of the axes that vary, in one cell."""
     here = part[part.cell == cell].iloc[0]
-    return {name: here[name] for name in varying(part)}
+    return {name: here[name] for name in varying_axes(part)}
 
 
 def named_values(result: Result, part: pd.DataFrame, cell: int) -> dict[str, object]:

@@ -73,7 +73,7 @@ class Paper(NamedTuple):
             return width
         return self.width if width <= self.width + 1e-9 else self.text
 
-    def checked(self) -> "Paper":
+    def validate(self) -> "Paper":
         """Return the paper; raise UserError for a width or a size on which nothing can be read."""
         if not 2.0 <= self.width <= 20.0:
             raise UserError(f"--width: got {self.width:g}, expected 2 to 20 inches; use a value in this range.")
@@ -85,7 +85,7 @@ class Paper(NamedTuple):
         """Return how wide a text is in inches, so many points `smaller` than usual; of several lines, the widest."""
         return max(_line_width(line, self.size - smaller, self.font) for line in text.split("\n"))
 
-    def folded(self, text: str, wide: float) -> str:
+    def wrap(self, text: str, wide: float) -> str:
         """Return a text in lines at most so many inches wide; neither a word nor a unit in brackets is cut."""
         lines = [""]
         for word in re.sub(r"\[.*?\]", lambda unit: unit.group().replace(" ", "\u00a0"), text).split(" "):
@@ -159,7 +159,7 @@ def _lay_out(
     handles = {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     handles |= {str(key.get_label()): key for key in keys}
     columns = _legend_columns([paper.width_of(label) for label in handles], width, paper)
-    title = paper.folded(title, width - paper.em)
+    title = paper.wrap(title, width - paper.em)
     legend = figure.legend(
         handles.values(), handles.keys(), ncols=columns, title=title, alignment="left", loc="outside upper left"
     )
@@ -170,8 +170,8 @@ def _lay_out(
     for row in grid:
         row = [ax for ax in row if ax in axes]
         for ax in row:
-            ax.set_title("\n".join(paper.folded(part, room) for part in ax.get_title("left").split("\n")))
-            ax.set_xlabel(paper.folded(ax.get_xlabel(), room))
+            ax.set_title("\n".join(paper.wrap(part, room) for part in ax.get_title("left").split("\n")))
+            ax.set_xlabel(paper.wrap(ax.get_xlabel(), room))
         above, below = ([text.count("\n") + 1 if text else 0 for text in texts]
                         for texts in zip(*((ax.get_title("left"), ax.get_xlabel()) for ax in row), strict=True))  # fmt: skip
         tall += 1.35 * max(above) + 1.35 * max(below) + (1.9 if max(below) else 0.6)

@@ -83,11 +83,11 @@ def curves(
     """
     selection: TomlTable = {"scenario": scenario, "signal": signal, "metric": metric, "at": at}
     stats = frames.rows(result, scenario, signal, metric)
-    axis = axis or next(iter(frames.varying(stats)), None)
-    if axis is None or axis not in frames.varying(stats):
+    axis = axis or next(iter(frames.varying_axes(stats)), None)
+    if axis is None or axis not in frames.varying_axes(stats):
         raise UserError(
             f"curves of {stats.scenario.iloc[0]}: got axis {axis!r}, expected one that varies "
-            f"({', '.join(frames.varying(stats)) or 'none does'}); give the study an axis with more than one value."
+            f"({', '.join(frames.varying_axes(stats)) or 'none does'}); give the study an axis with more than one value."
         )
     part = frames.fix_axes(stats, [axis], at)
     every = list(dict.fromkeys(part[axis]))

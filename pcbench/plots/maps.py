@@ -105,7 +105,7 @@ def heatmaps(
     scale, (low, high) = np.geomspace if log else np.linspace, np.array([norm.vmin, norm.vmax], float)
     keys = [Patch(facecolor=colours(norm(v)), edgecolor=SOFT, linewidth=0.4, label=layout.short(v))
             for v in scale(low, high, KEYS)]  # fmt: skip
-    title_values = {name: part[name].iloc[0] for name in frames.varying(stats) if name not in (x, y)}
+    title_values = {name: part[name].iloc[0] for name in frames.varying_axes(stats) if name not in (x, y)}
     title = f"{title}, {about(result, part, title_values)}"
     return draw(maps, _side(result, part, x), _side(result, part, y), title, keys, paper, log, marks)
 
@@ -141,7 +141,7 @@ def winners(
     """
     stats = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(stats, x, y)
-    panel_axes = [n for n in frames.varying(stats) if n not in (x, y, *(at or {}))]
+    panel_axes = [n for n in frames.varying_axes(stats) if n not in (x, y, *(at or {}))]
     standings = frames.fix_axes(frames.standings(result, scenario, signal, metric), [x, y, *panel_axes], at)
     if len(standings.groupby(panel_axes, sort=False) if panel_axes else []) > MOST:
         standings = frames.fix_axes(standings, [x, y])
@@ -159,7 +159,7 @@ def winners(
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
     """Return the two axes of a map: those that are given, or the first that vary; raise UserError where there are not two."""
-    axes = frames.varying(part)
+    axes = frames.varying_axes(part)
     names = [name for name in (x, y) if name] + [name for name in axes if name not in (x, y)]
     if len(names) < 2 or names[0] not in axes or names[1] not in axes:
         raise UserError(

@@ -65,7 +65,7 @@ def store(out: str | Path | None, entry: CacheEntry, frame: pd.DataFrame) -> pd.
     return frame
 
 
-def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
+def frame_of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
     """Return scenario, cell, observer, sample, tick, memory, as `pcbench.operation_counts`; counted if not in `out`.
 
     None if the scenario has continuous measurements, or if the code of an observer is not loaded.

@@ -41,7 +41,7 @@ RUNS = 32  # drawn if runs differ: nine in ten of their errors are in the band
 Floats = NDArray[np.float64]
 
 
-def of(
+def frame_of(
     study: Study, scenario: str, out: str | Path | None, cell: int = 0, seed: int | None = None
 ) -> pd.DataFrame | None:
     """Return one run of a scenario as `of_scenarios` does."""
@@ -78,17 +78,17 @@ def of_scenarios(
 
 
 def has_nees(run: pd.DataFrame) -> bool:
-    """Return whether a frame of `of` contains NEES."""
+    """Return whether a frame of `frame_of` contains NEES."""
     return bool((run.kind == "nees").any())
 
 
 def runs_of(run: pd.DataFrame) -> int:
-    """Return over how many runs the bands and means of a frame of `of` are taken: 1 if runs do not differ."""
+    """Return over how many runs the bands and means of a frame of `frame_of` are taken: 1 if runs do not differ."""
     return RUNS if (run.kind == MEDIAN).any() else 1
 
 
 def describe_seeds(run: pd.DataFrame, seed: int) -> str:
-    """Return the number of runs of a frame of `of` with their first seed, in words."""
+    """Return the number of runs of a frame of `frame_of` with their first seed, in words."""
     many = runs_of(run)
     return f"{many} runs from seed {seed}" if many > 1 else f"seed {seed}"
 

@@ -59,7 +59,7 @@ def time(
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
     seed = result.study.first_seed if seed is None else seed
-    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    run = one_run.frame_of(result.study, scenario, result.out, cell, seed)
     if run is None:
         raise UserError(
             f"plots.time: got no stored run of {scenario} and observers without their code, expected one of the two; "
@@ -71,7 +71,7 @@ def time(
 def draw_run(
     result: Result, run: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
-    """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
+    """Draw one signal of a run that is at hand, a frame of `one_run.frame_of`."""
     part = _with_exact(run[run.signal == signal], result, scenario, cell)
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
@@ -238,7 +238,7 @@ def nees(
     have `consistency = true`, or if none of its observers has a covariance.
     """
     scenario = frames.scenario_of(result, scenario)
-    run = one_run.of(result.study, scenario, result.out, cell, seed)
+    run = one_run.frame_of(result.study, scenario, result.out, cell, seed)
     if run is None or not one_run.has_nees(run):
         raise UserError(
             f"plots.nees: got runs of {scenario} without NEES, expected consistency = true in [options.scenario] and an "
@@ -249,7 +249,7 @@ def nees(
 
 
 def draw_nees(result: Result, run: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
-    """Draw the NEES of a frame of `one_run.of`."""
+    """Draw the NEES of a frame of `one_run.frame_of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), run[run.kind.str.startswith("nees")]
     names = frames.titles(result, stats)
     at = (frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items())

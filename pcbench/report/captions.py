@@ -243,7 +243,7 @@ def curves_note(figure: Figure, limit: str) -> str:
 
 
 def costs_note(figure: Figure, counts: pd.DataFrame) -> str:
-    """Return how to read errors against operations, a frame of `observer_costs.of`."""
+    """Return how to read errors against operations, a frame of `observer_costs.frame_of`."""
     absent = "An observer without samples is not shown." if (counts["sample"] == 0).any() else ""
     return " ".join(filter(None, [COSTS, absent, INTERVALS if _has_bars(figure) else ""]))
 
@@ -267,7 +267,7 @@ def profiles_note(figure: Figure) -> str:
 
 
 def honesty_note(run: pd.DataFrame) -> str:
-    """Return how to read the NEES over time, of a frame of `one_run.of`."""
+    """Return how to read the NEES over time, of a frame of `one_run.frame_of`."""
     many = one_run.runs_of(run)
     mean = f", as a mean over {many} runs" if many > 1 else ""
     band = "Above the band an observer is optimistic, below it pessimistic."
@@ -346,7 +346,7 @@ def where(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
     titles = frames.titles(result, part)
     texts = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
-    return ", ".join(texts) or (FIRST_VALUES if frames.varying(part) else "")
+    return ", ".join(texts) or (FIRST_VALUES if frames.varying_axes(part) else "")
 
 
 def _format_value(value: float, unit: str, otherwise: str = "diverged") -> str:

@@ -126,7 +126,7 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
     points = frames.simplify_axes(result, points)
     titles = frames.titles(result, points)
     axes, places = [], []
-    for name in frames.varying(points):
+    for name in frames.varying_axes(points):
         words = [frames.word(name, v) for v in points[name]]
         values = list(dict.fromkeys(words))
         places.append([values.index(word) for word in words])

@@ -87,7 +87,7 @@ def places(
     """Return scenarios with their runs over time and operation counts; what is not stored is computed."""
     at = {scenario: cell_of(result, scenario, options) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
-        costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
+        costs = {name: threads.submit(observer_costs.frame_of, result.study, name, result.out, at[name]) for name in at}
         runs = one_run.of_scenarios(result.study, at, result.out, options.seed, progress)
         return {name: Place(result, name, cell, runs[name], costs[name].result(), options) for name, cell in at.items()}
 
@@ -105,7 +105,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
     here: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
     every = frames.rows(result, scenario, signal, options.metric)
-    part, axes = every[every.cell == cell], frames.varying(every)
+    part, axes = every[every.cell == cell], frames.varying_axes(every)
     at, titles = frames.values_at(every, cell), frames.titles(result, every)
     words, unit = describe_metric(options.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
@@ -174,7 +174,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
     result, scenario, cell, run, _, options = place
     name = title_of_scenario(result.study, scenario).replace("/", "-")
     stats = frames.rows(result, scenario, None, "divergence_rate")
-    if result.study.vary == "all" and len(frames.varying(stats)) >= 2 and (stats["mean"] > 0).any():
+    if result.study.vary == "all" and len(frames.varying_axes(stats)) >= 2 and (stats["mean"] > 0).any():
         x, y = frames.map_axes(stats)
         rest = {a: v for a, v in frames.values_at(stats, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=options.paper)
@@ -208,7 +208,7 @@ def _consistency(place: Place) -> Iterator[Picture]:
     if not np.isfinite(stats["mean"]).any():
         return
     every = frames.rows(result, scenario, None, NEES)
-    for axis in frames.varying(every):
+    for axis in frames.varying_axes(every):
         rest = {a: v for a, v in frames.values_at(every, cell).items() if a != axis}
         name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-nees-over-{axis.replace('.', '-')}"
         yield Picture(
@@ -268,7 +268,7 @@ def put_figures(
     progress.begin("figures", None)
     for picture in pictures:
         for kind in formats:
-            storage.put(target, f"{picture.name}.{kind}", render_figure(picture.figure, kind))
+            storage.write_file(target, f"{picture.name}.{kind}", render_figure(picture.figure, kind))
         names.append(picture.name)
         progress.step(1)
     return names

@@ -73,15 +73,15 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, opti
     `options` select the metric that ranks, signals, grid point and seed. Runs that are shown over time are simulated if the
     folder does not have them, and stored there. Raises UserError if the folder contains no finished study.
     """
-    return put(page(open_result(folder), progress, options), out)
+    return write_page(page(open_result(folder), progress, options), out)
 
 
-def put(text: str, out: str | Path) -> int:
+def write_page(text: str, out: str | Path) -> int:
     """Write a page as one file, and return its size in bytes."""
     content = text.encode()
     target = storage.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     storage.make(target)
-    storage.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
+    storage.write_file(target, str(out).replace("\\", "/").rpartition("/")[2], content)
     return len(content)
 
 

@@ -30,7 +30,7 @@ class LoopState(NamedTuple):
     effort: PyTree = ()
 
 
-def before(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
+def first_loop_state(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
     """Return the commands before tick 0, the tracking-error sums, the controller's state and the control cost."""
     if layout.controller is None:
         return LoopState()
@@ -56,7 +56,7 @@ def add_command_noise(now: Now, commands: PyTree) -> Now:
     return now._replace(u=now.u + commands.noise) if isinstance(commands, command_network.Commands) else now
 
 
-def aims(layout: Layout, p: GridPointParams, k: Array) -> Array:
+def set_point_at(layout: Layout, p: GridPointParams, k: Array) -> Array:
     """Return the set point of tick k, [r]; [0] for an open loop."""
     return layout.controller.target(p.control, k) if layout.controller else jnp.zeros(0)
 

@@ -160,7 +160,9 @@ def rows_needed(delay: Delay, dt: float, ticks: int, oldest: int) -> int:
     return oldest + int(line(delay, dt, 0, ticks).lag.max()) + 2
 
 
-def read(line: Line, commands: Float[Array, "R m"], n: Int[Array, ""], newest: Int[Array, ""]) -> Float[Array, " m"]:
+def delayed_command(
+    line: Line, commands: Float[Array, "R m"], n: Int[Array, ""], newest: Int[Array, ""]
+) -> Float[Array, " m"]:
     """Return the input over tick n from commands up to tick `newest`; a later tick reads the newest command."""
     R = commands.shape[0]
     row = jnp.clip(n + R, 0, line.lag.shape[0] - 1)

@@ -67,7 +67,7 @@ def start_effort() -> ControlCost:
     return ControlCost(jnp.zeros(()), jnp.zeros(()))
 
 
-def spend(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -> ControlCost:
+def add_cost(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -> ControlCost:
     """Add the state x[n] and the input u[m] of tick k to the window."""
     cost, square = jnp.zeros(()), u @ u
     if np.size(weights.x_ref):
@@ -94,7 +94,7 @@ def update(stream: ErrorSums, e: Array) -> ErrorSums:
     return ErrorSums(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
 
 
-def look(
+def update_settling(
     watch: SettlingState, tick: Array, e: Array, band: Array, bound: Array, jumps: Array, interval: PyTree = ()
 ) -> SettlingState:
     """Update the settling state with the error e[n] of one tick, also since the last of the `jumps` [J, ticks].
@@ -114,7 +114,7 @@ def look(
     return SettlingState(jnp.where(outside, t + 1, watch.settling_tick), recovery, first_bad, intervals)
 
 
-def read(
+def finalize(
     streams: ErrorSums,
     watch: SettlingState,
     final: Array,

@@ -190,8 +190,8 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
         if o.init_random:
             memories[label] = o.init_random(p.gains[label], memories[label], words, xhat0)
     memories = jax.tree.map(jnp.asarray, memories)
-    loop = closed_loop.before(layout, p, memories)
-    notes = take_notes(layout, p, jnp.asarray(0, int), memories, loop.commands)
+    loop = closed_loop.first_loop_state(layout, p, memories)
+    notes = take_snapshots(layout, p, jnp.asarray(0, int), memories, loop.commands)
     ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
     windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
     sizes = {
@@ -232,7 +232,7 @@ def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Arr
     return measurements.quantize(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
-def take_notes(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
+def take_snapshots(layout: Layout, p: GridPointParams, k: Array, memories: Tree, commands: Tree) -> Tree:
     """Return the snapshot of every observer at tick k, to be used when the sample of this tick arrives."""
     now = present(p, k, False, commands)
     return {label: o.snapshot(p.gains[label], memories[label], now) for label, o in layout.observers}
@@ -253,7 +253,7 @@ def sense(
     if p.trigger:
         sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & is_sampled)
         run, is_sampled = run._replace(sensors=sensors), is_sampled & ~jnp.isnan(y)
-    snapshots = take_notes(layout, p, k, run.memories, run.commands)
+    snapshots = take_snapshots(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
         snapshots = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), snapshots)
@@ -345,7 +345,7 @@ def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: 
     streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
     interval_sums = intervals(layout, p, params, k, run) if run.watches else {}
     watches = {
-        label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps, interval_sums.get(label, ()))
+        label: metrics.update_settling(w, k, e[label], p.band, p.bound, p.jumps, interval_sums.get(label, ()))
         for label, w in run.watches.items()
     }
     tracking = run.tracking
@@ -363,7 +363,7 @@ def control(layout: Layout, p: GridPointParams, k: Array, run: Run, draws: PyTre
     if not isinstance(p.weights, metrics.Weights):
         return run
     window = jnp.sum(k >= p.windows[:, 1])
-    effort = update_window(run.effort, window, partial(spend, layout, p, k, run))
+    effort = update_window(run.effort, window, partial(add_cost, layout, p, k, run))
     return run._replace(effort=effort)
 
 
@@ -375,7 +375,7 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, draws: PyTre
     ring = run.commands.commands if layout.pending else run.commands
 
     def future_input(i: Array) -> Array:
-        return command_network.read(p.line, ring, k + i, k - 1)
+        return command_network.delayed_command(p.line, ring, k + i, k - 1)
 
     if controller.start:
         c, law = controller.command(p.control, now, xhat, future_input, run.law)
@@ -389,10 +389,12 @@ def command(layout: Layout, p: GridPointParams, k: Array, run: Run, draws: PyTre
     return run._replace(commands=commands, law=law)
 
 
-def spend(layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metrics.ControlCost) -> metrics.ControlCost:
+def add_cost(
+    layout: Layout, p: GridPointParams, k: Array, run: Run, effort: metrics.ControlCost
+) -> metrics.ControlCost:
     """Return the control cost including the input of tick k."""
     u = closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u
-    return metrics.spend(effort, p.weights, k, run.x, u)
+    return metrics.add_cost(effort, p.weights, k, run.x, u)
 
 
 def flow(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run, w: Array) -> Run:

@@ -138,7 +138,7 @@ def present(p: GridPointParams, k: Array, decided: bool, commands: PyTree = ()) 
             return jnp.where(age <= k, p.inputs.rows[place], 0.0)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
-        return command_network.read(p.line, commands, k - age, k if decided else k - 1)
+        return command_network.delayed_command(p.line, commands, k - age, k if decided else k - 1)
 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 

@@ -29,7 +29,7 @@ from pcbench.statistics.metric_matrix import (
     keep_columns,
     stack,
 )
-from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
+from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, values_at
 
 Row = dict[str, Any]  # of stats or pairs, by column
 DESCRIBED = (
@@ -115,7 +115,7 @@ def quantile_rows(aggregates: Mapping[str, Aggregate], chunks: Chunks) -> dict[s
         out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
         if label in where:
             values = quantile_intervals.select(s.order, searches[label], ranks_of[label], parts[label])
-            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, read(where[label], values))
+            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, values_at(where[label], values))
     return out
 
 

@@ -70,7 +70,7 @@ def ranks(where: Positions, n: int) -> NDArray[np.int64]:
     return np.concatenate([where.rank, np.minimum(where.rank + 1, n - 1)])
 
 
-def read(where: Positions, values: Values) -> Values:
+def values_at(where: Positions, values: Values) -> Values:
     """Return the values [K, W] at the positions from those at `ranks` [K, 2 W]; the bits are those of np.quantile."""
     a, b = np.split(values, 2, axis=-1)
     up = b - a

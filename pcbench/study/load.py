@@ -17,10 +17,10 @@ from pcbench.study.plugins.references import Gate, absolute, resolve_installed
 from pcbench.study.plugins.user_plants import collect_scenarios, plain
 from pcbench.toml_text import TomlTable
 
-Described = str | Path | TomlTable | Study  # a built-in name, a TOML file, or its content
+StudyLike = str | Path | TomlTable | Study  # a built-in name, a TOML file, or its content
 
 
-def raw_of(source: Described, overrides: list[str], gate: Gate) -> TomlTable:
+def raw_of(source: StudyLike, overrides: list[str], gate: Gate) -> TomlTable:
     """Return a study as a dict with `key=value` overrides and _ for - in its keys; its values are not checked.
 
     `gate` controls access to code and files.
@@ -57,7 +57,7 @@ def raw_of(source: Described, overrides: list[str], gate: Gate) -> TomlTable:
     return normalize_raw(raw, where_of(source, raw), folder, gate)
 
 
-def where_of(source: Described, raw: TomlTable) -> str:
+def where_of(source: StudyLike, raw: TomlTable) -> str:
     """Return the name of a study in messages: the word or file by which it was requested, or else its name."""
     return str(source) if isinstance(source, str | Path) else str(raw.get("name", "study"))
 

@@ -24,7 +24,7 @@ from pcbench.study import (
 )
 from pcbench.study.grid import Cell, Grid, cells
 from pcbench.study.labels import base_in
-from pcbench.study.load import Described, normalize_raw, raw_of, where_of
+from pcbench.study.load import StudyLike, normalize_raw, raw_of, where_of
 from pcbench.study.plugins import registry
 from pcbench.study.plugins.references import Gate, PluginReference, references_in
 from pcbench.study.plugins.user_code import UserPlugin
@@ -133,19 +133,19 @@ def parse(raw: TomlTable, where: str) -> Study:
     return grid(raw, where, FROM_HERE).study
 
 
-def grid_of(study: Described, changes: TomlTable, overrides: list[str]) -> Grid:
+def grid_of(study: StudyLike, changes: TomlTable, overrides: list[str]) -> Grid:
     """Return a checked study with its grid from a name, a TOML file, a dict or a Study, with top-level `changes`."""
     return grid(*apply_changes(study, changes, overrides), FROM_HERE)
 
 
-def apply_changes(study: Described, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
+def apply_changes(study: StudyLike, changes: TomlTable, overrides: list[str]) -> tuple[TomlTable, str]:
     """Return a raw study from a name, a TOML file, a dict or a Study, with `changes`, and its name in messages."""
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
     return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
 
 
-def one_cell(source: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+def one_cell(source: StudyLike, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
     """Return a study of these observers with its one grid point; raise UserError if it has more."""
     study, cells = grid_of(source, {"observers": observers}, overrides)
     if len(cells) > 1:

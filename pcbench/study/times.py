@@ -179,7 +179,7 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
                 f"{where}: got delays of up to {longest * dt:g} s with samples every {least * dt:g} s, expected at most "
                 f"{IN_FLIGHT:,} samples of a channel in transit; shorten the delay or sample less often."
             )
-    most = random_times.overtaking(clocks, ticks)
+    most = random_times.max_overtaking(clocks, ticks)
     if most > OVERTAKING:
         raise UserError(
             f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {OVERTAKING:,}; use a "

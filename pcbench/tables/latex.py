@@ -101,7 +101,7 @@ def _visible(h: Head) -> str:
 
 def _lines(h: Head, width: float) -> list[Head]:
     """Return a head in lines, so that it is not wider than its column if its words allow that; the last has the unit."""
-    *first, last = TYPE.folded(h.text, width / POINTS_PER_INCH / WIDER).split("\n")
+    *first, last = TYPE.wrap(h.text, width / POINTS_PER_INCH / WIDER).split("\n")
     ends = [Head(last, h.unit)]
     if _width(_visible(ends[0])) > width and last:
         ends = [Head(last), Head("", h.unit)]

@@ -94,12 +94,12 @@ def tables(result: Result, metric: str, signals: list[str] | None = None) -> lis
     for scenario in dict.fromkeys(result.stats.scenario):
         parts = {
             signal: part
-            for signal in frames.chosen(result, scenario, signals, metric)
+            for signal in frames.select_signals(result, scenario, signals, metric)
             if len(part := frames.rows(result, scenario, signal, metric))
         }
         if not parts:
             continue
-        if not frames.varying(next(iter(parts.values()))):
+        if not frames.varying_axes(next(iter(parts.values()))):
             out.append(_by_signal(result, scenario, metric, parts))
         else:
             for signal, part in parts.items():
@@ -123,7 +123,7 @@ def _subject(metric: str) -> str:
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
     """Yield the tables of a signal: of axes that vary one at a time, one for each."""
-    axes = frames.varying(part)
+    axes = frames.varying_axes(part)
     if result.study.vary == "one-at-a-time":
         for axis in axes:
             yield _over_axis(result, scenario, metric, signal, frames.fix_axes(part, [axis]), axis)
@@ -134,7 +134,7 @@ def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.D
 
 def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame, axis: str) -> Table:
     """Return the table of a signal with the values of one axis as columns."""
-    titles, row_axes = frames.titles(result, part), [a for a in frames.varying(part) if a != axis]
+    titles, row_axes = frames.titles(result, part), [a for a in frames.varying_axes(part) if a != axis]
     entries = [e for _, cell in part.groupby("cell", sort=False) for e in _entries(result, cell, metric)]
     by = {tuple(_value(e.row[a]) for a in (*row_axes, "observer", axis)): e for e in entries}
     values, groups = (list(dict.fromkeys(column)) for column in zip(*((at[-1], at[:-2]) for at in by), strict=True))

@@ -73,7 +73,7 @@ def dataset(tmp_path_factory):
 def damaged(dataset, tmp_path, change):
     """What is found wrong with a block that was changed."""
     place, b = storage.target(dataset), block_files.present(storage.target(dataset))[0]
-    cell = block_files.about(block_files.read(place, b))["cell"]
+    cell = block_files.about(block_files.read_block(place, b))["cell"]
     assert block_files.damage(place, b, cell) is None
     path = tmp_path / b.name
     path.parent.mkdir(parents=True)
@@ -104,7 +104,10 @@ def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, whe
 
     if damaged(dataset, tmp_path, flip) is None:
         b = block_files.present(storage.target(tmp_path))[0]
-        found, want = block_files.read(storage.target(tmp_path), b), pq.read_table(dataset / b.name, partitioning=None)
+        found, want = (
+            block_files.read_block(storage.target(tmp_path), b),
+            pq.read_table(dataset / b.name, partitioning=None),
+        )
         assert found.equals(want)
         assert block_files.about(found) == block_files.about(want)
 

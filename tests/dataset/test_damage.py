@@ -84,7 +84,7 @@ def _alike(spoilt, content):
 @pytest.mark.nightly
 def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.open_result(copy).study
-    made = one_run.of(study, "cart/slow", copy)
+    made = one_run.frame_of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
     content, table = (
         path.read_bytes(),
@@ -96,7 +96,7 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     storage.put_table(storage.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
     (wrong,) = verify.verify(copy, 0, 0).wrong
     assert wrong.startswith("examples/")
-    assert one_run.of(study, "cart/slow", copy).equals(made)
+    assert one_run.frame_of(study, "cart/slow", copy).equals(made)
     assert path.read_bytes() == content
 
 

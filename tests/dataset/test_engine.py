@@ -193,7 +193,7 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
     shutil.copytree(tmp_path / "b", tmp_path / "c")
     place = storage.target(tmp_path / "c")
     (block,) = block_files.present(place)
-    table = block_files.read(place, block)
+    table = block_files.read_block(place, block)
     i = table.schema.get_field_index("mae")
     moved = table.set_column(i, table.schema.field(i), pa.array(table["mae"].to_numpy() * (1 + 1e-13)))
     storage.put_table(place, block.name, block_files.seal_block(moved, block_files.about(table)))

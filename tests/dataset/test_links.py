@@ -127,13 +127,13 @@ def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
     victim.write_text("mine")
     storage.make(target)
     monkeypatch.setattr(storage, "_COUNT", iter([7, 7, 8, 9]))
-    storage.put(target, "first", b"1")
+    storage.write_file(target, "first", b"1")
     unfinished = next(iter(storage._partial(target.root)[:1]))
     assert "-7.partial" in unfinished
     os.unlink(unfinished)
     monkeypatch.setattr(storage, "_COUNT", iter([7, 8]))
     os.symlink(victim, unfinished)
-    storage.put(target, "second", b"2")
+    storage.write_file(target, "second", b"2")
     assert (tmp_path / "ds" / "second").read_bytes() == b"2"
     assert victim.read_text() == "mine"
 

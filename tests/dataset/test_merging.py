@@ -61,7 +61,7 @@ def test_a_gap_between_merged_parts_is_said_and_can_be_filled(whole, tmp_path):
 def test_parts_that_disagree_are_not_merged(copy, whole, tmp_path):
     place = storage.target(copy)
     b = block_files.present(place)[0]
-    table = block_files.read(place, b)
+    table = block_files.read_block(place, b)
     i = table.schema.get_field_index("mae")
     changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 1e-12)])
     storage.put_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))

@@ -65,7 +65,7 @@ def test_runs_stand_by_seed_with_their_signals_in_the_order_of_the_plant():
 )  # fmt: skip
 def test_how_a_study_is_run_is_checked_before_any_work(how, sentence):
     with pytest.raises(UserError, match=sentence):
-        run_study.How(**how).checked()
+        run_study.RunOptions(**how).checked()
 
 
 def test_every_metric_of_runs_has_a_meaning():

@@ -120,9 +120,9 @@ def test_a_disk_that_is_full_indeed(tmp_path):
         pytest.skip("no mount here")
     try:
         full = storage.target(tmp_path)
-        storage.put(full, "small", b"x" * 1000)
+        storage.write_file(full, "small", b"x" * 1000)
         with pytest.raises(UserError, match="No space left on device"):
-            storage.put(full, "large", b"x" * 100_000)
+            storage.write_file(full, "large", b"x" * 100_000)
         assert storage.names(full) == ["small"]
         assert [p.name for p in tmp_path.iterdir()] == ["small"]
     finally:
@@ -148,7 +148,7 @@ def test_what_a_killed_writer_left_is_cleared_and_a_living_ones_is_not(place):
 
 def test_two_writers_of_one_name_leave_one_whole_file(place):
     content = parquet_io.encode_table(TABLE).to_pybytes()
-    threads = [threading.Thread(target=storage.put, args=(place, "runs/a.parquet", content)) for _ in range(8)]
+    threads = [threading.Thread(target=storage.write_file, args=(place, "runs/a.parquet", content)) for _ in range(8)]
     for t in threads:
         t.start()
     for t in threads:

@@ -38,7 +38,7 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
     assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
     place = storage.target(mine)
     b = block_files.present(place)[5]
-    table = block_files.read(place, b)
+    table = block_files.read_block(place, b)
     i = table.schema.get_field_index("rmse")
     values = table["rmse"].to_numpy().copy()
     values[7] = np.nextafter(values[7], 1e9)

@@ -54,7 +54,7 @@ def asked(study, observer, objective, signal=None, only=None):
     every, start = tune.free_parameters(observer, entry, known, options, designed, only, "test")
 
     def design(at):
-        return planning.run_design(observer, entry, known, tune.parameters.put(options, every, at)).gains
+        return planning.run_design(observer, entry, known, tune.parameters.with_values(options, every, at)).gains
 
     (p,) = padding.fit(list(planning.drafts([cell])))
     aim = objective_of(objective, cell.scenario, signal, "test")

@@ -40,7 +40,7 @@ def test_every_vector_of_numbers_is_an_option(observer, data):
     numbers = {"R": 0.3, "q": 0.0}
     found, at = parameters.start(observer, OBSERVERS[observer], options(observer), numbers, None, "test")
     there = np.array(data.draw(st.lists(st.floats(-20, 20), min_size=len(at), max_size=len(at))))
-    made = parameters.put(options(observer), found, there)
+    made = parameters.with_values(options(observer), found, there)
     again, back = parameters.start(observer, OBSERVERS[observer], made, numbers, [f.name for f in found], "test")
     for f, g in zip(found, again, strict=True):
         mine, its = there[f.first : f.first + f.size], back[g.first : g.first + g.size]

@@ -69,7 +69,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
     assert said == {"plain": "defaults", "fast": "--xla_cpu_enable_fast_math=true"}
     place = storage.target(tmp_path / "plain")
     for b in block_files.present(place):
-        table = block_files.read(place, b)
+        table = block_files.read_block(place, b)
         assert block_files.about(table)["versions"]["compiler"] == "defaults"
         i = table.schema.get_field_index("mae")
         changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 3e-15)])

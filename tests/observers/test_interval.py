@@ -83,7 +83,7 @@ def test_both_metrics_equal_the_reference(case, sigmas, spare):
     roomy = OBSERVERS["interval"].design(context_of(case)._replace(spare=spare), interval.Options(**options)).gains
     p = p._replace(gains={"interval": roomy})
     out = jax.jit(simulate_runs.simulate_run, static_argnums=0)(layout, p, jnp.asarray(0), jnp.asarray(case.seed))
-    found = metrics.read(
+    found = metrics.finalize(
         out.streams["interval"], out.watches["interval"], out.final["interval"], case.ticks, case.ticks // 2, case.h
     )
     size, N = np.abs(x).max(), case.ticks

@@ -23,7 +23,7 @@ PART = "## field\n" + PAGE.partition("\n## field\n")[2]
 @pytest.fixture(scope="module")
 def computed():
     with config.float64():
-        return field.of(field.EXAMPLES)
+        return field.claims_of(field.EXAMPLES)
 
 
 @pytest.mark.ci

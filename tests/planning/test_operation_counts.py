@@ -138,12 +138,12 @@ def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
 
 def test_what_observers_of_a_cell_cost_is_kept_and_is_nothing_where_nothing_is_sampled(tmp_path, monkeypatch):
     study = parse.parse({"name": "t", "scenarios": ["cart/white", "arm/sine"], "observers": ["model-only"]}, "t")
-    found = observer_costs.of(study, "cart/white", tmp_path)
+    found = observer_costs.frame_of(study, "cart/white", tmp_path)
     whole = pcbench.operation_counts("cart/white", observers=["model-only"])
     pd.testing.assert_frame_equal(found, whole[["scenario", "cell", "observer", "sample", "tick", "memory"]])
     monkeypatch.setattr(observer_costs.operation_counts, "costs", None)
-    pd.testing.assert_frame_equal(observer_costs.of(study, "cart/white", tmp_path), found)
-    assert observer_costs.of(study, "arm/sine", tmp_path) is None
+    pd.testing.assert_frame_equal(observer_costs.frame_of(study, "cart/white", tmp_path), found)
+    assert observer_costs.frame_of(study, "arm/sine", tmp_path) is None
 
 
 def test_what_no_loop_depends_on_is_not_computed():

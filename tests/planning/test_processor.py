@@ -15,7 +15,7 @@ import pcbench
 from pcbench.errors import UserError
 from pcbench.export import files
 from pcbench.external import export_draws
-from pcbench.planning import context_of, drafts, operation_counts, padding, processor, slowed
+from pcbench.planning import context_of, drafts, operation_counts, padding, processor, with_computing_time
 from pcbench.planning.operation_counts import Cost
 from pcbench.runtime import config
 from pcbench.simulation.schedule import common_times
@@ -45,7 +45,7 @@ def load(speed, observer="kf", **given):
     """The ticks that a sample takes, and of how many one is used."""
     with config.float64():
         (cell,) = parse.grid_of(having([observer], processor_speed=speed, **given), {}, []).cells
-        clock = slowed(cell, observer).times.clocks[0]
+        clock = with_computing_time(cell, observer).times.clocks[0]
     return clock.delay - cell.times.clocks[0].delay, clock.stride
 
 
@@ -207,7 +207,7 @@ def test_designs_know_what_the_processor_has_time_for():
     jax.tree.map(np.testing.assert_array_equal, limited.gains, usual.gains)
     with config.float64():
         (cell,) = parse.grid_of(having(processor_speed=speed), {}, []).cells
-        known = context_of(slowed(cell, "kf"))
+        known = context_of(with_computing_time(cell, "kf"))
     assert known.period == (8,)
     assert known.delay == (2 + wait,)
 

@@ -211,6 +211,6 @@ def test_its_picture_in_time_has_the_errors_alone(study):
     of_state, own = (time_series.time(result, signal=signal) for signal in ("position", "distance"))
     assert [len(figure.axes) for figure in (of_state, own)] == [2, 1]
     assert "[m]" in own.axes[0].get_title(loc="left")
-    run = one_run.of(result.study, result.scenarios[0], result.out, 0, 0)
+    run = one_run.frame_of(result.study, result.scenarios[0], result.out, 0, 0)
     text, _ = captions.time(run[run.signal == "distance"], "m", own)
     assert text.startswith("At the end: kf ")

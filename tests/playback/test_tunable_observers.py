@@ -59,7 +59,7 @@ def test_score_is_the_derivative_of_the_likelihood(recording, name):
         free, start = tune.free_parameters(name, entry, p.context, options, designed, ["R", "Q"], "here")
 
         def design(point):
-            return planning.run_design(name, entry, p.context, parameters.put(options, free, point)).gains
+            return planning.run_design(name, entry, p.context, parameters.with_values(options, free, point)).gains
 
         look, h = likelihood.evaluator(p, part, design), 1e-4
         at = start + np.linspace(0.1, 0.3, len(start))

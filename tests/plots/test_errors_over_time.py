@@ -21,7 +21,7 @@ STUDY = {
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     result = pcbench.run(STUDY, out=tmp_path_factory.mktemp("bands") / "out")
-    return result, one_run.of(result.study, "cart/white", result.out), plots.error_bands(result)
+    return result, one_run.frame_of(result.study, "cart/white", result.out), plots.error_bands(result)
 
 
 @pytest.mark.ci

@@ -110,4 +110,4 @@ def test_a_width_between_one_and_two_columns_is_that_of_both():
     assert [72.27 * paper.fit_width(w / 72.27) for w in (100, 252, 253, 600)] == pytest.approx([252, 252, 522, 522])
     assert plots.Paper().fit_width(5.5) == 5.5
     with pytest.raises(UserError, match="--width"):
-        paper._replace(width=0.1).checked()
+        paper._replace(width=0.1).validate()

@@ -19,7 +19,7 @@ def result(in_a_hurry):
 
 @pytest.fixture(scope="module")
 def run(result):
-    return one_run.of(result.study, "lti", None)
+    return one_run.frame_of(result.study, "lti", None)
 
 
 @pytest.mark.ci
@@ -76,7 +76,7 @@ def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result, run):
 
 @pytest.mark.ci
 def test_where_nobody_says_so_there_is_no_picture_but_a_sentence(result, run, monkeypatch):
-    monkeypatch.setattr(one_run, "of", lambda *_: run[~run.kind.str.startswith("nees")])
+    monkeypatch.setattr(one_run, "frame_of", lambda *_: run[~run.kind.str.startswith("nees")])
     with pytest.raises(UserError, match="expected consistency = true") as caught:
         plots.nees(result)
     assert "\n" not in str(caught.value)

@@ -19,7 +19,7 @@ def shown():
     at = ["axes.noise_std=0.5", "axes.delay=0.1"]
     with config.float64():
         traces = [pcbench.simulate("cart/white", "pccebo", seed=6 + i, overrides=at) for i in range(one_run.RUNS)]
-        return one_run.of(made, "cart/white", None, cell=1), traces
+        return one_run.frame_of(made, "cart/white", None, cell=1), traces
 
 
 @pytest.mark.ci
@@ -71,9 +71,15 @@ def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
 @pytest.mark.ci
 def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
     study = parse.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
-    assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "arrival", "estimate", "error", "measured"}
+    assert set(one_run.frame_of(study, "cart/nominal", None).kind) == {
+        "truth",
+        "arrival",
+        "estimate",
+        "error",
+        "measured",
+    }
     with pytest.raises(UserError, match="--grid-point: got 7, expected one of 0"):
-        one_run.of(study, "cart/nominal", None, cell=7)
+        one_run.frame_of(study, "cart/nominal", None, cell=7)
 
 
 @pytest.mark.ci
@@ -85,4 +91,4 @@ def test_scenarios_shown_together_are_those_shown_alone():
     assert list(together) == ["cart/slow", "cart/nominal"]
     assert not together["cart/slow"].equals(together["cart/nominal"])
     for name, frame in together.items():
-        pd.testing.assert_frame_equal(frame, one_run.of(study, name, None), check_exact=True)
+        pd.testing.assert_frame_equal(frame, one_run.frame_of(study, name, None), check_exact=True)

@@ -204,7 +204,7 @@ def test_names_of_channels_are_escaped(folders, full):
 @pytest.mark.parametrize(("width", "paper"), [(390, False), (1024, False), (1400, False), (718, True)])
 @pytest.mark.parametrize("name", ["full", "bare"])
 def test_page_is_drawn_without_complaints(folders, tmp_path, name, width, paper):
-    page.put(replay_page.page(replay_frames.open_replay(folders / name)), tmp_path / "report.html")
+    page.write_page(replay_page.page(replay_frames.open_replay(folders / name)), tmp_path / "report.html")
     seen = looked_at(tmp_path / "report.html", tmp_path, width, paper)
     assert seen["pictures"] == (7 if name == "full" else 2)
     assert not seen["complaints"]

@@ -32,7 +32,7 @@ def expected(delay, n, newest):
     return np.array([np.interp(when, ticks, column) for column in command(ticks).T])
 
 
-read = jax.jit(command_network.read)
+read = jax.jit(command_network.delayed_command)
 
 
 @given(

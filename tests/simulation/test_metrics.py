@@ -47,14 +47,18 @@ def test_every_metric_equals_that_of_the_trace(trace, runs, observer, signal):
 def test_the_first_bad_tick_is_kept_whatever_made_it_bad(bad):
     watch, band = metrics.start_watch(2), np.array([1.0, 1.0])
     for tick, e in enumerate([0.5, 9.0, bad, 0.1, bad]):
-        watch = metrics.look(watch, np.asarray(tick), np.array([0.0, e]), band, np.full(2, 10.0), np.zeros(0, int))
+        watch = metrics.update_settling(
+            watch, np.asarray(tick), np.array([0.0, e]), band, np.full(2, 10.0), np.zeros(0, int)
+        )
     assert watch.first_bad == 2
 
 
 def test_settling_is_the_last_exit_not_the_first_entry():
     watch, band = metrics.start_watch(1), np.array([1.0])
     for tick, e in enumerate([3.0, 0.2, -2.0, 0.5, 0.1]):
-        watch = metrics.look(watch, np.asarray(tick), np.array([e]), band, np.full(1, 10.0), np.zeros(0, int))
+        watch = metrics.update_settling(
+            watch, np.asarray(tick), np.array([e]), band, np.full(1, 10.0), np.zeros(0, int)
+        )
     assert watch.settling_tick[0] == 3
 
 
@@ -62,7 +66,9 @@ def read(e, tail, dt=0.5, band=1.0, bound=10.0, jumps=(), tracking=None):
     """The metrics of errors e [N], taken in tick by tick, one run."""
     N, watch, jumps = len(e), metrics.start_watch(1), np.array(jumps, int)
     for tick, value in enumerate(e):
-        watch = metrics.look(watch, np.asarray(tick), np.array([value]), np.array([band]), np.array([bound]), jumps)
+        watch = metrics.update_settling(
+            watch, np.asarray(tick), np.array([value]), np.array([band]), np.array([bound]), jumps
+        )
 
     def streams(values):
         parts = [values[:tail], values[tail : N - 1], values[N - 1 :]]
@@ -71,7 +77,7 @@ def read(e, tail, dt=0.5, band=1.0, bound=10.0, jumps=(), tracking=None):
 
     watch = metrics.SettlingState(*(np.asarray(part).reshape(-1, 1) for part in watch[:2]), np.asarray(watch[2])[None])
     final, aims = np.array(e[-1:])[:, None], None if tracking is None else streams(np.array(tracking))
-    out = metrics.read(streams(np.array(e)), watch, final, N, tail, dt, bool(len(jumps)), aims)
+    out = metrics.finalize(streams(np.array(e)), watch, final, N, tail, dt, bool(len(jumps)), aims)
     return {name: values.ravel()[0] for name, values in out.items()}
 
 
@@ -121,9 +127,9 @@ def test_the_cost_of_a_tick_counts_state_and_input_from_the_set_point():
     x, u, x_ref, u_ref = rng.normal(size=3), rng.normal(size=2), rng.normal(size=(5, 3)), rng.normal(size=(5, 2))
     Q1, Q2 = np.diag([1.0, 2.0, 3.0]), np.array([[2.0, 0.5], [0.5, 1.0]])
     zero = metrics.ControlCost(np.zeros(()), np.zeros(()))
-    found = metrics.spend(zero, metrics.Weights(Q1, Q2, x_ref, u_ref), 4, x, u)
+    found = metrics.add_cost(zero, metrics.Weights(Q1, Q2, x_ref, u_ref), 4, x, u)
     e, v = x - x_ref[4], u - u_ref[4]
     assert float(found.cost) == pytest.approx(e @ Q1 @ e + v @ Q2 @ v, rel=1e-12)
     assert float(found.square) == pytest.approx(u @ u, rel=1e-12)
-    none = metrics.spend(zero, metrics.Weights(Q1, Q2, np.zeros((0, 3)), np.zeros((0, 2))), 4, x, u)
+    none = metrics.add_cost(zero, metrics.Weights(Q1, Q2, np.zeros((0, 3)), np.zeros((0, 2))), 4, x, u)
     assert float(none.cost) == pytest.approx(x @ Q1 @ x + u @ Q2 @ u, rel=1e-12)

@@ -54,7 +54,7 @@ def test_they_are_the_metrics_of_the_tables(scenario):
     got = METRICS(p.layout, p.problem, n, tail, study.root_seed, SEEDS)
     out = jax.tree.map(np.asarray, SIMULATE(p.layout, p.problem, study.root_seed, SEEDS))
     for label in p.labels:
-        want = metrics.read(out.streams[label], out.watches[label], out.final[label], n, tail, 1.0)
+        want = metrics.finalize(out.streams[label], out.watches[label], out.final[label], n, tail, 1.0)
         for name, values in got[label].items():
             np.testing.assert_allclose(values, want[name], rtol=1e-12, atol=1e-14, err_msg=f"{label} {name}")
 
@@ -121,7 +121,7 @@ def test_gradients_are_those_of_finite_differences(observer):
     aim = objective_of(metric, p.cell.scenario, None, "test")
 
     def design(at):
-        return entry_of(observer).design(known, parameters.put(options, every, at)).gains
+        return entry_of(observer).design(known, parameters.with_values(options, every, at)).gains
 
     back = optimizers.backwards(p, aim, study.root_seed, SEEDS)
     mean, slopes, lost = back(design(at))

@@ -135,7 +135,7 @@ def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, ru
 
 
 def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
-    out = metrics.read(
+    out = metrics.finalize(
         outcome.streams["o"], outcome.watches["o"], outcome.final["o"], N, TAIL, DT, tracking=outcome.tracking
     )
     for run, (e, off, lost) in enumerate(runs):

@@ -83,7 +83,7 @@ def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
     at, truth, below, above = quantile_intervals.positions(n), DRAW[name][1].ppf(LEVELS), [], []
     for x in experiments(name, n):
         x.sort()
-        ends = quantile_intervals.read(at, x[:, quantile_intervals.ranks(at, n)])
+        ends = quantile_intervals.values_at(at, x[:, quantile_intervals.ranks(at, n)])
         below.append((truth < ends[:, 1::3]).mean(0))
         above.append((truth > ends[:, 2::3]).mean(0))
     misses, is_open = np.mean([below, above], 1), np.isnan(np.stack([ends[0, 1::3], ends[0, 2::3]]))
@@ -100,7 +100,7 @@ def test_quantiles_are_covered_where_runs_tie():
     at, truth = quantile_intervals.positions(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
     for _ in range(5):
         x = np.sort(np.minimum(np.ceil(10 * rng.standard_gamma(4.0, (BLOCK, n))), 50.0))
-        q = quantile_intervals.read(at, x[:, quantile_intervals.ranks(at, n)])
+        q = quantile_intervals.values_at(at, x[:, quantile_intervals.ranks(at, n)])
         found.append(((q[:, 1::3] <= truth) & (truth <= q[:, 2::3])).mean(0))
     assert (np.mean(found, 0) >= 0.94).all()
 

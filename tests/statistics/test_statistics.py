@@ -355,7 +355,7 @@ def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
     sought = quantile_intervals.seek(order, ranks)
     found = [quantile_intervals.collect(sought, part) for part in np.split(x, 50, axis=1)]
     assert sum(values.size for part in found for values in part) < 0.02 * x.size
-    got = quantile_intervals.read(at, quantile_intervals.select(order, sought, ranks, found))
+    got = quantile_intervals.values_at(at, quantile_intervals.select(order, sought, ranks, found))
     np.testing.assert_array_equal(got[:, 0::3].T, np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1))
     assert got[0, 12] == got[0, 13] == got[0, 14] == 3.5
 

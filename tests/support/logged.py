@@ -39,7 +39,7 @@ def rows(folder, measured, inputs=None, kind="csv"):
 def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
     """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
     for name, table in tables.as_tables(batch, channels, inputs, truth).items():
-        single_table.put(folder / f"{name}{kind}", table)
+        single_table.write_table(folder / f"{name}{kind}", table)
 
 
 def plain(many=40, every=0.05, late=0.1):

@@ -6,13 +6,15 @@ from pcbench import statistics
 from pcbench.statistics.aggregate import columns
 from pcbench.statistics.comparison import pair_stats, paired_t_test
 from pcbench.statistics.confidence_intervals import moments, positive, rms_efficiency, root, wilson
-from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, read
+from pcbench.statistics.quantile_intervals import COLUMNS, positions, ranks, values_at
 
 
 def quantiles(values):
     """The quantiles over runs of values [n] with their intervals."""
     where = positions(len(values))
-    return dict(zip(COLUMNS, read(where, np.sort(values)[None, ranks(where, len(values))])[0].tolist(), strict=True))
+    return dict(
+        zip(COLUMNS, values_at(where, np.sort(values)[None, ranks(where, len(values))])[0].tolist(), strict=True)
+    )
 
 
 def pooled(squares):

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import sample_rate
 from pcbench.observers.parts.common import known_input, no_snapshot
-from pcbench.observers.parts.sample_rate import ModelRun, SampledModel, read, ring, write
+from pcbench.observers.parts.sample_rate import ModelRun, SampledModel, at_sample, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
 
@@ -59,7 +59,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     feedthrough = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
-        x_then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
+        x_then = at_sample(memory.alone, k - ages[j]) + at_sample(memory.past, k - ages[j])
         expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_then) + feedthrough[j])
     is_used = arrival.mask & (k >= gains.first)
     e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
@@ -71,7 +71,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     run, due = sample_rate.flow(gains.model, memory.run, now)
     k = memory.run.sample
     past = write(memory.past, k, memory.z, due)
-    z = gains.step @ read(past, k + 1 - gains.every) + memory.push
+    z = gains.step @ at_sample(past, k + 1 - gains.every) + memory.push
     return Memory(
         run,
         write(memory.alone, k + 1, run.xbar, due),

@@ -83,7 +83,7 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
 def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Posterior:
     """Return mean and covariance propagated to a tick; a copy in the state stays constant."""
     n, age, powers = gains.P0.shape[0], tick - before.tick, gains.motion.powers
-    free = prediction.at(gains.motion, Point(before.mean[:n], before.tick), tick)
+    free = prediction.predict_to(gains.motion, Point(before.mean[:n], before.tick), tick)
     P = covariance_after(powers, gains.noise, age, before.P[:n, :n])
     if before.mean.shape[0] == n:
         return Posterior(free, P, tick)

@@ -134,7 +134,7 @@ def clip_parameters(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " j
     return jnp.concatenate([z[: N - s], jnp.clip(z[N - s : N], gains.low, gains.high), *copy]) if s else z
 
 
-def at(now: Now, tick: Int[Array, ""]) -> Now:
+def now_at(now: Now, tick: Int[Array, ""]) -> Now:
     """Return `now` as it was at an earlier tick, with the input held from there on."""
     since = now.tick - tick
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
@@ -145,7 +145,7 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
     N, copies = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        (z, P), past = carry, at(now, k)
+        (z, P), past = carry, now_at(now, k)
         F, z_next, Q = gains.slope(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
         if copies:
             F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(copies)), jnp.pad(Q, (0, copies))

@@ -84,7 +84,7 @@ def flow_of_estimate(gains: Gains, memory: PyTree, now: Now) -> PyTree:
     return memory._replace(xhat=motion.Phi @ memory.xhat + motion.Gamma @ now.u, tick=memory.tick + 1)
 
 
-def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
+def predict_to(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return `free` propagated to a tick; the estimate there is g plus this."""
     return after(motion.powers, tick - point.tick, point.free)
 
@@ -134,7 +134,7 @@ def make_use(
         since = point_of(memory.buffer.before).tick
         memory, measurement = restart(gains.motion, memory, now, measurement, since)
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, measurement)
-        free = at(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
+        free = predict_to(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
         after = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
         return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, measurement)
 

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at, initial_augmented
+from pcbench.observers.parts.nonlinear_model import Gains, initial_augmented, now_at
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
 
@@ -53,13 +53,13 @@ def observer(functions: FilterFunctions) -> Observer:
     """Return the observer with these functions."""
 
     def propagate(gains: Gains, now: Now, state: State, until: Int[Array, ""]) -> State:
-        end = lax.fori_loop(state.tick, until, lambda k, s: functions.tick(gains, at(now, k), s), state)
+        end = lax.fori_loop(state.tick, until, lambda k, s: functions.tick(gains, now_at(now, k), s), state)
         return end._replace(tick=until)
 
     def use(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
             prior = propagate(gains, now, before, sample.tick)
-            return functions.update(gains, at(now, sample.tick), prior, sample)
+            return functions.update(gains, now_at(now, sample.tick), prior, sample)
 
         return update
 
@@ -105,7 +105,7 @@ def observer(functions: FilterFunctions) -> Observer:
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
             newest_sample = sample._replace(mask=sample.mask & (sample.tick >= before.tick))
             return functions.expected(
-                gains, at(now, sample.tick), propagate(gains, now, before, sample.tick), newest_sample
+                gains, now_at(now, sample.tick), propagate(gains, now, before, sample.tick), newest_sample
             )
 
         return vmap_as_unit(score)(memory, arrival)

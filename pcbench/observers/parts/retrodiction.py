@@ -144,7 +144,7 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         is_stored = sample.tick >= memory.past.ticks[0]
         forward_memory = forward(gains, memory, sample._replace(tick=jnp.maximum(sample.tick, memory.posterior.tick)))
         memory = select_memory(is_older, select_memory(is_stored, backward_memory, memory), forward_memory)
-        free = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
+        free = prediction.predict_to(gains.motion, linear_filter.point(memory.posterior), now.tick)
         return memory._replace(xhat=memory.g + free)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:

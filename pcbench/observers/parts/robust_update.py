@@ -54,7 +54,7 @@ class GuardedPosterior(NamedTuple):
 AnyPosterior = Posterior | GuardedPosterior  # a filter's state after a sample
 
 
-def of(gate: float | None, opens: int, huber: float | None) -> PyTree:
+def make_guard(gate: float | None, opens: int, huber: float | None) -> PyTree:
     """Return the thresholds, or () without any."""
     if gate is None and huber is None:
         return ()

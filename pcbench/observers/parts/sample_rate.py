@@ -72,7 +72,7 @@ def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:
     return jnp.broadcast_to(entry, (room.shape[0] + 2, *entry.shape))
 
 
-def read(ring: Shaped[Array, "rows ..."], sample: Int[Array, ""]) -> Shaped[Array, "..."]:
+def at_sample(ring: Shaped[Array, "rows ..."], sample: Int[Array, ""]) -> Shaped[Array, "..."]:
     """Return a ring buffer's entry of a sample; the number may be traced, and negative."""
     return lax.dynamic_index_in_dim(ring, sample % (ring.shape[0] - 1), 0, False)
 

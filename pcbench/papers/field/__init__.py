@@ -45,10 +45,10 @@ RUNS: dict[str, Callable[[], list[Claim]]] = {  # in minutes: simulated runs
 def claims() -> list[Claim]:
     """Return the claims for `pcbench reproduce field`."""
     with config.float64():
-        return [*of(EXAMPLES), *of(RUNS), *unobtained.rows()]
+        return [*claims_of(EXAMPLES), *claims_of(RUNS), *unobtained.rows()]
 
 
-def of(examples: dict[str, Callable[[], list[Claim]]]) -> list[Claim]:
+def claims_of(examples: dict[str, Callable[[], list[Claim]]]) -> list[Claim]:
     """Return the claims of some examples, each with the name of its example."""
     return [
         row if row.verdict == FINDING else row._replace(claim=f"{name}: {row.claim}")

@@ -89,7 +89,7 @@ def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
     return np.concatenate(tables)
 
 
-def overtaking(samples: list[Sample]) -> int:
+def max_overtaking(samples: list[Sample]) -> int:
     """Return the largest number of newer samples that arrive before an older one."""
     times = np.array(
         sorted({(s.tick + s.timestamp_error, s.arrives) for s in samples if s.arrives < NEVER}), int
@@ -261,7 +261,7 @@ def oldest(samples: list[Sample], overtaking: int) -> int:
     """Return the largest age [ticks] of an input that an observer may need.
 
     For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
-    K = `overtaking`. The result is the maximum over i.
+    K = `max_overtaking`. The result is the maximum over i.
     """
     times = np.array(
         sorted({(max(s.tick + min(s.timestamp_error, 0), 0), s.arrives) for s in samples if s.arrives < NEVER}), int

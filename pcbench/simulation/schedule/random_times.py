@@ -220,7 +220,7 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
     return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + burst) * interval + longest
 
 
-def overtaking(clocks: list[Clock], ticks: int) -> int:
+def max_overtaking(clocks: list[Clock], ticks: int) -> int:
     """Return an upper limit of the newer samples that arrive before an older one, at most all others of a run."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
     wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
