@@ -67,7 +67,15 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
     errors = steps.errors(layout, p, end, state)
     squares = steps.squares(layout, p, end, state, errors) if layout.consistency else ()
     truth = steps.actual(layout, p, end, state)
-    out = RunSums(last.streams, last.watches, errors, last.tracking, last.effort, squares, truth)
+    out = RunSums(
+        streams=last.streams,
+        watches=last.watches,
+        final=errors,
+        tracking=last.tracking,
+        effort=last.effort,
+        consistency=squares,
+        actual=truth,
+    )
     sums, out = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, out), is_leaf=lane_array.is_lanes)
     last_sums = out.streams, out.tracking, out.effort
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, last_sums)

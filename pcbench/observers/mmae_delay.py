@@ -43,7 +43,7 @@ class Filters(NamedTuple):
 
     x: Float[Array, "M n"]
     P: Float[Array, "M n n"]
-    tick: Int[Array, " M"]  # tick
+    ticks: Int[Array, " M"]
     weight: Float[Array, " M"]  # logarithm
 
 
@@ -71,7 +71,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     first = Filters(
         x=jnp.broadcast_to(xhat0, (n_models, *xhat0.shape)),
         P=jnp.broadcast_to(gains.P0, (n_models, *gains.P0.shape)),
-        tick=jnp.zeros(n_models, int),
+        ticks=jnp.zeros(n_models, int),
         weight=weight,
     )
     return Memory(reorder_buffer.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
@@ -111,8 +111,8 @@ def update_model(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple
 def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
     """Update every filter at its assumed sampling tick, and its weight by the likelihood of the sample."""
     arrival_tick = sample.snapshot[0].astype(int)
-    ticks = jnp.maximum(jnp.minimum(sample.tick - gains.extra, arrival_tick), before.tick)  # 0 at the start
-    x, P = predict_models(gains, now, before.x, before.P, before.tick, ticks)
+    ticks = jnp.maximum(jnp.minimum(sample.tick - gains.extra, arrival_tick), before.ticks)  # 0 at the start
+    x, P = predict_models(gains, now, before.x, before.P, before.ticks, ticks)
     x, P, likelihood = jax.vmap(partial(update_model, gains, sample))(x, P)
     return Filters(x, P, ticks, jax.nn.log_softmax(before.weight + likelihood))
 
@@ -123,9 +123,11 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     def apply(memory: Memory, arrival: Arrival) -> Memory:
         arrival_tick = jnp.asarray(now.tick, float)[None]
         sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, arrival_tick)
-        buffer, at = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
-        present = predict_models(gains, now, at.x, at.P, at.tick, jnp.full_like(at.tick, now.tick))[0]
-        return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
+        buffer, filters = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
+        present = predict_models(
+            gains, now, filters.x, filters.P, filters.ticks, jnp.full_like(filters.ticks, now.tick)
+        )[0]
+        return Memory(buffer, mean(gains, filters.weight), jnp.exp(filters.weight) @ present)
 
     return vmap_as_unit(apply)(memory, arrival)
 
@@ -149,9 +151,9 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     """Return the covariance of the mixture: within the filters, and of their means and delays."""
 
     def mixture(memory: Memory) -> Array:
-        at = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
-        x, P = predict_models(gains, now, at.x, at.P, at.tick, jnp.full_like(at.tick, now.tick))
-        share, n = jnp.exp(at.weight), gains.C.shape[1]
+        filters = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
+        x, P = predict_models(gains, now, filters.x, filters.P, filters.ticks, jnp.full_like(filters.ticks, now.tick))
+        share, n = jnp.exp(filters.weight), gains.C.shape[1]
         z = jnp.concatenate([x, (gains.dt * gains.extra)[:, None]], 1)
         deviation = z - (share @ z)[None]
         joint = (share[:, None] * deviation).T @ deviation

@@ -125,7 +125,7 @@ def follow(parts, observer, u, y, d, xhat0, option):
 
 def measured(got, d):
     """What was measured at each tick, from what arrives d ticks later; NaN of what is still on its way at the end."""
-    return np.concatenate([got.arrived[d:], np.full((d, got.arrived.shape[1]), np.nan)])
+    return np.concatenate([got.newest[d:], np.full((d, got.newest.shape[1]), np.nan)])
 
 
 @pytest.mark.ci

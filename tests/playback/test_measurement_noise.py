@@ -288,4 +288,4 @@ def test_observers_that_have_one_variance_and_correlated_noise_are_refused(repla
 def test_c_of_a_recording_with_variances_is_refused(replayed):
     a = open_playback(replayed[0], PLANT, ["kf"])
     with pytest.raises(UserError, match="expected a recording without: the C has one variance for each channel"):
-        prepare_recording(a, tells=False)
+        prepare_recording(a, notifies=False)
