@@ -133,16 +133,16 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
     assert standing(tmp_path) == before
 
 
-@pytest.mark.parametrize(("at", "left"), [("put", "old"), ("replace", "new")])
+@pytest.mark.parametrize(("at", "left"), [("write_file", "old"), ("replace", "new")])
 def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
     """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
     target, names, calls = storage.target(tmp_path), ("a", "b/b", "c"), []
     storage.put_all(target, dict.fromkeys(names, b"old"))
-    module = storage if at == "put" else os
+    module = storage if at == "write_file" else os
     does = getattr(module, at)
 
     def stopped_at_the_second(*given):
-        mine = at == "put" or "partial" not in str(given[0])  # `put` renames too
+        mine = at == "write_file" or "partial" not in str(given[0])  # `put` renames too
         calls.extend([given] if mine else [])
         return stopped() if mine and len(calls) == 2 else does(*given)
 
