@@ -142,7 +142,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
     does = getattr(module, at)
 
     def stopped_at_the_second(*given):
-        mine = at == "write_file" or "partial" not in str(given[0])  # `put` renames too
+        mine = at == "write_file" or "partial" not in str(given[0])  # `write_file` renames too
         calls.extend([given] if mine else [])
         return stopped() if mine and len(calls) == 2 else does(*given)
 
