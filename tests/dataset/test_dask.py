@@ -116,5 +116,5 @@ def test_workers_that_end_for_good_end_the_study_in_a_sentence(monkeypatch):
     monkeypatch.setattr(executors, "ALONE", "3s")
     with executors.dask("local", 1) as execute:
         assert list(execute(echo, [1, 2])) == [1, 2]
-        with pytest.raises(UserError, match="all workers have ended and none came again"):
+        with pytest.raises(UserError, match="all workers have ended and none restarted"):
             list(execute(echo, [Unreadable()]))
