@@ -3,11 +3,11 @@
     python benchmarks/random_schedules.py [--small] [--json]
 
 The same observers on the same scenario, 1024 runs a device: once on a schedule that all share, then with jitter, loss, both,
-random intervals, and delays that let samples overtake. Rows take turns (see `turns`); a turn is what a user gets: jobs stacked,
+random intervals, and out-of-sequence samples. Rows take turns (see `turns`); a turn is what a user gets: jobs stacked,
 sent, simulated and read, draws and sorting of the events included. The ratio is of the best turns, within a scenario.
 Before it is timed, every row is checked: its runs end with finite errors, and are not those of one schedule for all.
 With --small 32 runs of every row go on for two seconds of their scenario, one turn: its figures mean nothing then.
-With overtaking an observer keeps as many samples as may be overtaken and runs again from there: that row does other work.
+With out-of-sequence samples an observer stores the newest ones and uses them again: that row does other work.
 """
 
 import argparse
@@ -41,7 +41,7 @@ RANDOM: dict[str, dict[str, Any]] = {
     "loss 20 %": {"loss": 0.2},
     "jitter and loss": {"sampling_jitter": 0.04, "loss": 0.2},
     "random intervals": {"sampling_pattern": "uniform"},
-    "overtaking": {"delay_jitter": 0.3},
+    "out of sequence": {"delay_jitter": 0.3},
 }
 
 
@@ -66,7 +66,7 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
 
 def rows_of(scenario: str, observers: list[str], small: bool) -> list[Made]:
     """Return every way to sample a scenario as a row; those that can share a program do, as in a study."""
-    kinds = {what: axes for what, axes in RANDOM.items() if what != "overtaking" or "kfbo" not in observers}
+    kinds = {what: axes for what, axes in RANDOM.items() if what != "out of sequence" or "kfbo" not in observers}
     each = padding.fit([planned(scenario, observers, axes, small) for axes in kinds.values()])
     return [_made(f"{scenario} ({', '.join(observers)}): {what}", p) for what, p in zip(kinds, each, strict=True)]
 

@@ -143,7 +143,7 @@ def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Ca
         samples = common_times.samples(times.clocks(scenario), n)
         delayed = [s._replace(arrives=s.arrives + (3 * spacing // 2 if s.number % 3 == 1 else 0)) for s in samples]
         context = context._replace(
-            overtaking=common_times.max_overtaking(delayed),
+            oosm_lag=common_times.max_oosm_lag(delayed),
             flight=context.flight + 2,
             latest=context.latest + 3 * spacing // 2,
         )

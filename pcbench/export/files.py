@@ -157,7 +157,7 @@ def _build_export(
         outputs=q,
         rows=rows,
         oldest=oldest,
-        newer=context.overtaking,
+        newer=context.oosm_lag,
     )
     description = numbers.describe_gains(about, context, p.certificates[label], cell.options[label].model_dump(), gains)
     files: dict[str, str | bytes] = {
@@ -177,7 +177,7 @@ def _rows(cell: Cell, label: str, context: DesignContext) -> int:
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
-    return min(loop_setup.oldest(cell, context.overtaking, ticks) + 2, ticks + 1)
+    return min(loop_setup.oldest(cell, context.oosm_lag, ticks) + 2, ticks + 1)
 
 
 def require_place(out: str | Path) -> None:

@@ -61,7 +61,7 @@ def design(context: DesignContext, options: Options) -> Design:
         gains = assumed_age.gains_of(context, A, K, (d,) * len(plant.tau))
     inequality = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(
-        inequality, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d}
+        inequality, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "assumed_delay": d}
     )
     if set(plant.tau) == {d}:  # otherwise the true delays act as a disturbance, and the rate is not certified
         certificate = certificate._replace(rate=rate_of(rate, plant.period * context.dt))

@@ -38,10 +38,10 @@ OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, without a certificate if the schedule needs more stored samples than `keep`."""
-    needs_more = context.overtaking > options.keep
-    reason = f"it stores {options.keep} samples, but {context.overtaking} newer ones may arrive before a sample"
+    needs_more = context.oosm_lag > options.keep
+    reason = f"it stores {options.keep} samples, but {context.oosm_lag} newer ones may arrive before a sample"
     kf_design = linear_filter.design(
         context, options, "kf-reprocess", np.zeros(options.keep), reason=reason if needs_more else "", restarts=False
     )
-    numbers = {**kf_design.certificate.numbers, "kept": float(options.keep), "needed": float(context.overtaking)}
+    numbers = {**kf_design.certificate.numbers, "kept": float(options.keep), "needed": float(context.oosm_lag)}
     return kf_design._replace(certificate=kf_design.certificate._replace(numbers=numbers))

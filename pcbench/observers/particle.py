@@ -165,7 +165,7 @@ def symmetric_root(M: np.ndarray) -> np.ndarray:
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions; raise UserError if the particles do not fit into memory."""
     N = len(context.model.A) + len(context.unknown_std)
-    particle_size = 8 * (N + 1) * (context.overtaking + 3) * LANES
+    particle_size = 8 * (N + 1) * (context.oosm_lag + 3) * LANES
     if options.particles * particle_size > machine.usable():
         raise UserError(
             f"particle in {context.scenario}: got {options.particles} particles, which take "

@@ -110,7 +110,7 @@ def drafts(
         for cell, options in groups:
             context = by_clocks[tuple(cell.times.clocks)]
             if cell.times.random:  # room for all would cost more than another program
-                context = context._replace(spare=power_of_2(context.overtaking))
+                context = context._replace(spare=power_of_2(context.oosm_lag))
             else:
                 context = context.roomier(largest[cell.scenario.plant])
             p = draft(cell, options, context, cache)
@@ -245,7 +245,7 @@ def draft(
         bound=bound(unlimited_cell, context, cache) if options else None,
         predicts_unknown_input={o: d.predicts_unknown_input for o, d in designs.items()},
         labels=tuple(options),
-        reach=loop_setup.reach(cell, context.overtaking, n) if s.loop.controller else None,
+        reach=loop_setup.reach(cell, context.oosm_lag, n) if s.loop.controller else None,
     )
 
 

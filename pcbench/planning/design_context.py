@@ -47,14 +47,14 @@ def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
             period[j] = round(sum(pattern) / len(pattern))
             delay[j] = (period[j] if clock.delay is None else clock.delay) + clock.later + cell.times.error
 
-    def overtaking() -> int:
+    def oosm_lag() -> int:
         """Return the largest number of newer samples that arrive before an older one; 0 for one clock with a constant delay."""
         if sampling.any_random(clocks):
-            return random_times.max_overtaking(clocks, n)
+            return random_times.max_oosm_lag(clocks, n)
         is_regular = (
             len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
         )
-        return 0 if is_regular else common_times.max_overtaking(common_times.samples(clocks, n))
+        return 0 if is_regular else common_times.max_oosm_lag(common_times.samples(clocks, n))
 
     def intervals() -> tuple[int, ...]:
         return tuple(sampling.intervals(clocks[0], n))
@@ -75,7 +75,7 @@ def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
         sensors=len(clocks),
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
-        overtaking=cache("overtaking", (tuple(clocks), n), overtaking),
+        oosm_lag=cache("oosm_lag", (tuple(clocks), n), oosm_lag),
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-d // p) for d, p in zip(delay, period, strict=True)),

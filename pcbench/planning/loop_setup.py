@@ -39,27 +39,27 @@ def controller(cell: Cell) -> Controller | None:
     return controllers.law_of(controllers.entry_of(s), options(cell)) if s.loop.controller else None
 
 
-def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
+def reach(cell: Cell, oosm_lag: int, ticks: int) -> Reach:
     """Return the ticks of commands to store.
 
     - `back`: enough to read all inputs since the oldest sample that may still be used, including the actuator's delay.
     - `lookahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
-    age = oldest(cell, overtaking, ticks)
+    age = oldest(cell, oosm_lag, ticks)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
     back = command_network.rows_needed(delay, s.dt, ticks, age + 1)
     return Reach(back, times.to_ticks(longest, s) + 2 + times.to_ticks(s.loop.command_jitter, s))
 
 
-def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
+def oldest(cell: Cell, oosm_lag: int, ticks: int) -> int:
     """Return the largest age [ticks] of an input that an observer may read, as old as the oldest usable sample."""
     if cell.scenario.sampling.sensors_decide:  # the last sample sent may have any age
         age = ticks
     elif cell.times.random:
-        age = min(random_times.oldest(cell.times.clocks, ticks, overtaking), ticks)
+        age = min(random_times.oldest(cell.times.clocks, ticks, oosm_lag), ticks)
     else:
-        age = common_times.oldest(common_times.samples(cell.times.clocks, ticks), overtaking)
+        age = common_times.oldest(common_times.samples(cell.times.clocks, ticks), oosm_lag)
     return age + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
 
 

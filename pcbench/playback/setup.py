@@ -161,7 +161,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
             f"{m} inputs, in their order; correct the table."
         )
     context = context._replace(
-        overtaking=max(context.overtaking, room.overtaking),
+        oosm_lag=max(context.oosm_lag, room.oosm_lag),
         flight=max(context.flight, room.flight),
         latest=max(context.latest, room.latest),
         reach=max(context.reach, *(-(-room.latest // max(each, 1)) for each in context.period)),
@@ -186,7 +186,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
                     f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
                     "be correlated between outputs, expected one of them; leave one out."
                 )
-    back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.longest_gap, 1)))
+    back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.oosm_lag + 2) * max(room.longest_gap, 1)))
     around = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),

@@ -53,7 +53,7 @@ class Room(NamedTuple):
 
     slots: int = 1  # packets that arrive at one tick
     flight: int = 1  # packets in flight, including the one taken now
-    overtaking: int = 0  # newer packets that arrive before an older one
+    oosm_lag: int = 0  # newer packets that arrive before an older one
     latest: int = 0  # largest age at arrival
     longest_gap: int = 0  # longest time from one packet to the next
     longest_gap_row: int = 0  # row of the latter
@@ -171,15 +171,15 @@ def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
     # from each packet to the newest taken by the time it arrives, inclusive
     place = np.searchsorted(first.taken, arrival, side="right") - 1
     by_then = np.where(place >= 0, first.packet.to_numpy()[place], number) if len(first) else number
-    # newer packets that arrive before an older one, as `common_times.overtaking`
-    overtaking, shift = np.zeros(len(packets), int), 1
+    # newer packets that arrive before an older one, as `common_times.max_oosm_lag`
+    oosm_lag, shift = np.zeros(len(packets), int), 1
     while shift < len(packets) and (sampling[shift:] < arrival[:-shift]).any():
-        overtaking[:-shift] += (arrival[shift:] < arrival[:-shift]) & (sampling[shift:] > sampling[:-shift])
+        oosm_lag[:-shift] += (arrival[shift:] < arrival[:-shift]) & (sampling[shift:] > sampling[:-shift])
         shift += 1
     return Room(
         slots=max(room.slots, int(slots_of(s).max(initial=0)) + 1),
         flight=max(room.flight, int((by_then - number).max(initial=0)) + 1),
-        overtaking=max(room.overtaking, int(overtaking.max(initial=0))),
+        oosm_lag=max(room.oosm_lag, int(oosm_lag.max(initial=0))),
         latest=max(room.latest, int((arrival - sampling).max(initial=0))),
         longest_gap=max(room.longest_gap, int(gaps.max(initial=0))),
         longest_gap_row=int(first.row.iloc[np.argmax(gaps)]) if is_longer else room.longest_gap_row,

@@ -4,7 +4,7 @@ Durations, periods, delays and jitters become whole ticks, once per grid point. 
 refused at once:
 
 - a run has at most TICKS ticks and SAMPLES samples per channel
-- at most IN_FLIGHT samples of a channel are on the network at one time, and at most `OVERTAKING` newer ones arrive before an
+- at most IN_FLIGHT samples of a channel are on the network at one time, and at most `MAX_OOSM_LAG` newer ones arrive before an
   older one
 - a study has at most CELLS grid points per scenario, of CELL_TICKS ticks in total
 - a study has at most LABELS labels of observers and SCENARIOS scenarios
@@ -147,7 +147,7 @@ def actuator_delay(s: Scenario) -> Delay:
 TICKS = 1_000_000
 SAMPLES = 100_000
 IN_FLIGHT = 10_000
-OVERTAKING = 1_000
+MAX_OOSM_LAG = 1_000
 LABELS = 1_000
 SCENARIOS = 500
 CELLS = 10_000
@@ -179,10 +179,10 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
                 f"{where}: got delays of up to {longest * dt:g} s with samples every {least * dt:g} s, expected at most "
                 f"{IN_FLIGHT:,} samples of a channel in transit; shorten the delay or sample less often."
             )
-    most = random_times.max_overtaking(clocks, ticks)
-    if most > OVERTAKING:
+    most = random_times.max_oosm_lag(clocks, ticks)
+    if most > MAX_OOSM_LAG:
         raise UserError(
-            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {OVERTAKING:,}; use a "
+            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {MAX_OOSM_LAG:,}; use a "
             "smaller delay_jitter, smaller differences of the delays, or a longer sampling_period."
         )
 

@@ -64,12 +64,12 @@ class DesignContext(NamedTuple):
     send_threshold: tuple[float, ...] = ()
     in_loop: bool = False  # whether a controller computes the input
     sensors: int = 1  # number of sensors: groups of outputs that are sampled, delayed and lost together
-    overtaking: int = 0  # how many newer samples may arrive before an older one
+    oosm_lag: int = 0  # largest number of newer samples that arrive before an older one
     spare: int = 0  # least room for such newer samples, so that grid points share compiled programs
     # assumed noise of a tick: standard deviations of n states, or an n by n root of the covariance; empty: none
     process_std: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
     error: int = 0  # assumed delay minus true delay [ticks]
-    reach: int = 0  # longest delay [samples]; like `overtaking` and `flight` the maximum over the grid points
+    reach: int = 0  # longest delay [samples]; like `oosm_lag` and `flight` the maximum over the grid points
     flight: int = 1  # how many samples can be in transit at once, the one that is taken now included
     latest: int = 0  # greatest age of a sample that arrives, according to its timestamp [ticks]
     unknown_std: tuple[float, ...] = ()  # typical size of each unknown input or parameter
@@ -111,13 +111,13 @@ class DesignContext(NamedTuple):
 
     def roomier(self, other: "DesignContext") -> "DesignContext":
         """Return a copy with at least as much room for samples as another context."""
-        sizes = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
+        sizes = {name: max(getattr(self, name), getattr(other, name)) for name in ("oosm_lag", "reach", "flight")}
         return self._replace(**sizes)
 
     @property
     def room(self) -> np.ndarray:
         """Room for the newer samples that may arrive before an older one (`protocols.Room`)."""
-        return np.zeros(max(self.overtaking, self.spare))
+        return np.zeros(max(self.oosm_lag, self.spare))
 
 
 def require_certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:

@@ -30,7 +30,7 @@ def _once(names):
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", _once(name for name in EXPORTED if name not in exports.REGULAR))
-def test_late_lost_and_overtaking_samples_are_used_as_in_the_simulation(name):
+def test_late_lost_and_out_of_sequence_samples_are_used_as_in_the_simulation(name):
     found = exports.of(name, True)
     events = re.findall(r"^    \{(\d+), 2, (\d+),", found.files["vector.h"], re.M)
     packets = [int(packet) for _, packet in events]

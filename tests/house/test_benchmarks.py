@@ -29,7 +29,7 @@ ROWS = {  # what each prints, and how often
         "jitter 0.04 s": 2,
         "loss 20 %": 2,
         "random intervals": 2,
-        "overtaking": 1,
+        "out of sequence": 1,
     },
     "tuning": {"cart/white": 1, "cart/variable": 1},
     "studies": {"writing: ": 3, "workers: efficiency": 2, "workers: two workers do": 1, "memory: ": 2, "maps: ": 1},

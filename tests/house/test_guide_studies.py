@@ -166,16 +166,20 @@ def test_the_decision_table_names_the_scenarios_it_is_drawn_from():
 BELIEVED = re.compile(r"^\| `([a-z-]+)` \| ((?:[\d.]+ \| ){6}[\d.]+) \|$", re.M)
 
 
-def test_the_table_of_beliefs_has_what_the_study_has():
+def test_the_table_of_assumptions_has_what_the_study_has():
     study = parse.grid_of("model-mismatch", {}, []).study
     assert [name for name, _ in BELIEVED.findall(OBSERVERS_PAGE)] == study.observers
-    told = {name: study.tables[name].as_table() for name in study.scenarios}
-    late = [told[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
+    tables = {name: study.tables[name].as_table() for name in study.scenarios}
+    late = [tables[f"delay-{which}"]["assumed_delay_error"] / 0.2 for which in ("over", "under")]
     assert late == pytest.approx([0.2, -0.2])
-    assert told["gain-off"]["parameters"]["b"] == pytest.approx(1.1 * 355)
-    assert np.divide(told["noise-under"]["assumed_process_std"], told["as-assumed"]["process_std"]) == pytest.approx(4)
-    assert np.divide(told["as-assumed"]["process_std"], told["noise-over"]["assumed_process_std"]) == pytest.approx(4)
-    assert told["noise-over"]["options"]["kfbo"]["R"] == 16 * told["as-assumed"]["options"]["kfbo"]["R"]
+    assert tables["gain-off"]["parameters"]["b"] == pytest.approx(1.1 * 355)
+    assert np.divide(
+        tables["noise-under"]["assumed_process_std"], tables["as-assumed"]["process_std"]
+    ) == pytest.approx(4)
+    assert np.divide(tables["as-assumed"]["process_std"], tables["noise-over"]["assumed_process_std"]) == pytest.approx(
+        4
+    )
+    assert tables["noise-over"]["options"]["kfbo"]["R"] == 16 * tables["as-assumed"]["options"]["kfbo"]["R"]
 
 
 @pytest.mark.nightly

@@ -90,7 +90,7 @@ def agrees(observer):
 
 
 @pytest.mark.nightly
-def test_a_filter_with_overtaking_samples_is_the_mean_over_every_sequence_of_delays():
+def test_a_filter_with_out_of_sequence_samples_is_the_mean_over_every_sequence_of_delays():
     agrees("kf")
 
 
@@ -100,7 +100,7 @@ def test_an_observer_with_a_gain_of_its_own_is_too():
 
 
 SHAPES = {
-    "overtaking": {},
+    "out of sequence": {},
     "as the next is taken": {"delay_values": [0.0, 0.08]},
     "three": {"delay_values": [0.0, 0.32, 0.1], "delay_self_transition": [0.6, 0.3, 0.5]},
     "uneven": {"sampling_pattern": [0.1, 0.22, 0.14]},

@@ -38,7 +38,7 @@ def want(schedule, gate=np.inf, gate_opens=5, huber=np.inf):
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 @pytest.mark.parametrize("options", CHOICES, ids=str)
 @pytest.mark.parametrize("name", ["kf", "ekf"])
-def test_it_is_the_reference_whatever_is_late_lost_or_overtaking(name, options, schedule):
+def test_it_is_the_reference_whatever_is_late_lost_or_out_of_sequence(name, options, schedule):
     expected, gone = want(schedule, **options)
     np.testing.assert_allclose(found(name, schedule, **options), expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     assert bool(gone) == ("gate" in options)

@@ -1,8 +1,8 @@
 """Shortcuts for late samples: each is what its source says, equals an independent reference, and believes what is true or not.
 
 The plant has three states, two inputs, two outputs and process noise; inputs differ at every tick. Four schedules with two
-clocks: nothing late; one sample late by less than a step; two clocks with late samples; and all of it late, lost or overtaking.
-Tolerances are rounding: 1e-10 of the signal's size, as everywhere.
+clocks: nothing late; one sample late by less than a step; two clocks with late samples; and all of it late, lost or out
+of sequence. Tolerances are rounding: 1e-10 of the signal's size, as everywhere.
 """
 
 import re
@@ -45,7 +45,7 @@ TIMES = {
     "late": [[(t, t + 30) for t in range(0, TICKS + 1, 12)], [(t, t + 5) for t in range(0, TICKS + 1, 17)]],
     "wild": _wild(),
 }
-KNOWN = context_of(CASE)._replace(overtaking=9, flight=9, latest=40, period=(12, 17), delay=(20, 20))
+KNOWN = context_of(CASE)._replace(oosm_lag=9, flight=9, latest=40, period=(12, 17), delay=(20, 20))
 
 
 @cache
@@ -83,7 +83,7 @@ def apart(a, b):
 @pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 @pytest.mark.parametrize("name", EQUAL)
-def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_overtaking(name, schedule):
+def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_out_of_sequence(name, schedule):
     options = {"keep": 9} if name == "kf-reprocess" else {}
     xhat, P = found(name, schedule, **options)
     same(xhat, optimum(schedule))
@@ -158,7 +158,7 @@ ON_TIME = [
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ON_TIME)
-def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name):
+def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_out_of_sequence(name):
     x, samples = plant("wild", noise=False)
     there = driven.traffic(TIMES["wild"], samples, TICKS, 2)
     xhat, _ = driven.run(name, KNOWN, {}, there, inputs(CASE), starts(CASE)[0])
@@ -249,7 +249,7 @@ INTEGRATOR = linear.Model(np.zeros((2, 2)), np.array([[1.0, 0.3], [0.2, -1.0]]),
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule):
     case = Case(INTEGRATOR, 12, 0, ticks=TICKS, h=H, noise_std=0.2, xhat0=[0.5, -1.0])
-    model, known = Model(INTEGRATOR.A, INTEGRATOR.B, INTEGRATOR.C, H), context_of(case)._replace(overtaking=9)
+    model, known = Model(INTEGRATOR.A, INTEGRATOR.B, INTEGRATOR.C, H), context_of(case)._replace(oosm_lag=9)
     rng = np.random.default_rng(4)
     v = [rng.normal(size=TICKS + 1) * 0.2 for _ in range(2)]
     _, samples = irregular.simulate(model, inputs(case), starts(case)[0], TIMES[schedule], v)

@@ -1,8 +1,8 @@
 """Estimators for nonlinear plants: each equals an independent reference, and on a linear plant Kalman's filter.
 
 The linear plant and its schedules are those of `test_late_samples`; the nonlinear one is in `support/swinging`, where samples
-are late, lost and overtaking, neither sensor is linear, and a parameter is estimated beside the state. Tolerances are rounding:
-1e-10 of the signal's size.
+are late, lost and out of sequence, neither sensor is linear, and a parameter is estimated with the state. Tolerances are
+rounding: 1e-10 of the signal's size.
 """
 
 import driven
@@ -36,7 +36,7 @@ LINEAR = [("ekf-iterated", {}), ("ukf", {}), ("ukf", CUBATURE)]
     ],
     ids=str,
 )
-def test_on_a_linear_plant_it_is_the_optimum_whatever_is_late_lost_or_overtaking(name, options, schedule):
+def test_on_a_linear_plant_it_is_the_optimum_whatever_is_late_lost_or_out_of_sequence(name, options, schedule):
     there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
     xhat, P, squares = driven.whole(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])
     same(xhat, optimum(schedule))
@@ -158,7 +158,7 @@ def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_t
     [("ekf-iterated", {}), pytest.param("ukf", CUBATURE, marks=pytest.mark.nightly), ("mhe", {"window": 4})],
     ids=str,
 )
-def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name, options):
+def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_out_of_sequence(name, options):
     """Of the linear plant, where no spread of points moves a mean; the reactor's is in `test_reactor`."""
     x, samples = plant("wild", noise=False)
     there = driven.traffic(TIMES["wild"], samples, TICKS, 2)
@@ -217,7 +217,7 @@ def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, ch
 @pytest.mark.ci
 @pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.nightly)])
 def test_particles_equal_the_reference_on_the_same_draws(many, share):
-    """Late and overtaking samples move the same particles by the same draws again."""
+    """Late and out-of-sequence samples move the same particles by the same draws again."""
     xhat, P, _ = swinging.found("particle", particles=many, resample=share)
     model, (z, P0) = swinging.model(), swinging.prior()
     want = particles.filtered(model, z, P0, swinging.samples(), swinging.inputs(), many, share)

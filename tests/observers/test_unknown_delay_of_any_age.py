@@ -32,7 +32,7 @@ def found(name, schedule, options, noise=True, perfect=False):
 
 @pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
-def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_overtaking(schedule):
+def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_out_of_sequence(schedule):
     xhat, P = found("mmae-delay", schedule, RIGHT["mmae-delay"])
     same(xhat, optimum(schedule))
     same(P, of_family("kf", schedule)[1])

@@ -71,7 +71,7 @@ def wild(case, clock, observer, options):
         )
     plan = common_times.pad_slots(common_times.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
     known = context_of(case)._replace(
-        overtaking=random_times.max_overtaking([clock], case.ticks),
+        oosm_lag=random_times.max_oosm_lag([clock], case.ticks),
         intervals=tuple(sampling.intervals(clock, case.ticks)),
     )
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))

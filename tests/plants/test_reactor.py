@@ -34,7 +34,7 @@ def test_its_run_is_scipys():
     "name",
     ["ekf", pytest.param("ekf-iterated", marks=pytest.mark.nightly), pytest.param("mhe", marks=pytest.mark.nightly)],
 )
-def test_from_a_perfect_start_there_is_no_error_though_samples_are_late_lost_and_overtaking(name):
+def test_from_a_perfect_start_there_is_no_error_though_samples_are_late_lost_and_out_of_sequence(name):
     """Without noise and from the true pressures; a point of `ukf` is off them, so it has one."""
     still = {"process_std": [0.0, 0.0], "noise_std": [0.0], "assumed_process_std": [1e-3, 1e-3], "xhat0": [3.0, 1.0]}
     late = {"delay": [0.3], "delay_jitter": 0.5, "loss": 0.2, "duration": 8.0, "steady_start": 4.0}

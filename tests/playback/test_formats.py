@@ -49,7 +49,7 @@ def plain(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wild(tmp_path_factory):
-    """Late, lost and overtaking."""
+    """Late, lost and out of sequence."""
     return traced(WILD, tmp_path_factory.mktemp("wild"))
 
 

@@ -22,7 +22,7 @@ WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "sampl
 
 @pytest.fixture(scope="module")
 def traced(tmp_path_factory):
-    """Runs of the motor, on time and late, lost and overtaking: the frame and the folder of its log."""
+    """Runs of the motor, on time and late, lost and out of sequence: the frame and the folder of its log."""
     out = {}
     options = {"scenario": {"consistency": True, "random_initial_state": True}}  # traces have standard deviations, too
     for name, study in (("plain", MOTOR), ("wild", WILD), ("stamped", STAMPED)):

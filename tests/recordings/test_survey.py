@@ -12,7 +12,7 @@ from pcbench.recordings.survey import channel_rows, survey
 
 
 def drawn(seed, many=60, doubled=3):
-    """Samples of one channel, late and overtaking, some of them twice; in the order in which they arrive."""
+    """Samples of one channel, late and out of sequence, some of them twice; in the order in which they arrive."""
     rng = np.random.default_rng(seed)
     taken = np.cumsum(rng.integers(1, 6, many))
     arrives = taken + rng.integers(0, 25, many)

@@ -75,7 +75,7 @@ def test_the_room_of_a_log_is_that_of_the_schedule(seed, length):
         room = with_stretch(room, stretch, 31)
     there = [s for s in scheduled if s.arrives < common_times.NEVER]
     assert room.slots == common_times.schedule(scheduled, TICKS, CHANNELS).arrive.shape[1]
-    assert room.overtaking == common_times.max_overtaking(there)
+    assert room.oosm_lag == common_times.max_oosm_lag(there)
     assert room.flight >= common_times.in_flight(common_times.schedule(scheduled, TICKS, CHANNELS))
     assert room.flight <= 31
     assert room.latest == max(s.arrives - s.tick for s in there)

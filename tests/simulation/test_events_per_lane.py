@@ -199,8 +199,8 @@ PROGRAMS = {2: ("pi-pco", "kf"), 1: ("pccebo", "pi-pco")}  # devices: who runs t
 @cache
 def gains_of():
     """One design for all clocks: for their mean interval, with room for the most disorder of them."""
-    most = max(random_times.max_overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
-    known = context_of(CASE)._replace(overtaking=most)
+    most = max(random_times.max_oosm_lag([clock], CASE.ticks) for clock in CLOCKS.values())
+    known = context_of(CASE)._replace(oosm_lag=most)
     return {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in OPTIONS.items()}
 
 

@@ -136,13 +136,13 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
 
 @settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
-def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
+def test_the_lag_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
     arriving = {(s.tick + s.timestamp_error, s.arrives) for s in found if s.arrives < NEVER}
-    assert common_times.max_overtaking(found) == most_ahead(arriving)
+    assert common_times.max_oosm_lag(found) == most_ahead(arriving)
     late = ahead(clocks, 0, seed)
     each = [(taken + late[taken], arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
-    assert most_ahead(each) <= random_times.max_overtaking(clocks, ticks)
+    assert most_ahead(each) <= random_times.max_oosm_lag(clocks, ticks)
 
 
 def most_ahead(times):
@@ -199,17 +199,17 @@ def never_overwritten(clocks, ticks, seed, error):
     ],
     ids=["the fourth together", "four ahead", "two clocks"],
 )
-def test_the_overtaking_that_is_claimed_beforehand_occurs(clocks, most):
+def test_the_lag_that_is_claimed_beforehand_occurs(clocks, most):
     runs = [[(a, b) for a, _, _, b in packets(clocks, LONGEST, seed)] for seed in range(40)]
-    assert max(map(most_ahead, runs)) == random_times.max_overtaking(clocks, LONGEST) == most
+    assert max(map(most_ahead, runs)) == random_times.max_oosm_lag(clocks, LONGEST) == most
 
 
 def test_a_sample_is_overtaken_by_no_more_than_all_others_of_its_run():
     """As late as may be, in a run of 17 samples: room for more would only be compiled."""
     clock = Clock((0,), 6, 6, spread=900)
-    assert random_times.max_overtaking([clock], 100) == 16
-    assert random_times.max_overtaking([clock, clock._replace(channels=(1,))], 100) == 33
-    assert random_times.max_overtaking([clock], 5000) == 149
+    assert random_times.max_oosm_lag([clock], 100) == 16
+    assert random_times.max_oosm_lag([clock, clock._replace(channels=(1,))], 100) == 33
+    assert random_times.max_oosm_lag([clock], 5000) == 149
 
 
 @pytest.mark.parametrize("error", [0, 9])

@@ -123,7 +123,7 @@ def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_qu
     "names", [("kf",), pytest.param(("kf", "kf-cloning", "model-only"), marks=pytest.mark.nightly)]
 )
 def test_samples_are_judged_on_schedules_of_each_runs_own(names):
-    """Lost, late and overtaking samples: of a true model nis is 1, over all that arrive, in which runs differ."""
+    """Lost, late and out-of-sequence samples: of a true model nis is 1, over all that arrive, in which runs differ."""
     lossy = {"lti": HONEST["lti"] | {"loss": 0.2, "delay_jitter": 0.8}}
     result = pcbench.run(HONEST | lossy | {"observers": list(names)}, seeds=64)
     runs = result.runs[result.runs.signal == "a"].set_index(["observer", "seed"])

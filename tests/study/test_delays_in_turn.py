@@ -17,7 +17,7 @@ NEVER = 10**8  # ticks; no sample that arrives is so late
 
 
 def recorded(folder, many=30, channels=("y1",), seed=0):
-    """A log from 3 s on with gaps, overtaking samples and lost ones; returns (taken, arrives) in ticks from its start."""
+    """A log from 3 s on with gaps, out-of-sequence samples and lost ones; returns (taken, arrives) in ticks from its start."""
     rng = np.random.default_rng(seed)
     taken = np.concatenate([[0], np.cumsum(rng.integers(4, 12, many - 1))])
     late = rng.integers(2, 40, many).astype(float)
@@ -58,7 +58,7 @@ def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
     each = [(t, a) for t, a in of_the_log(taken, late, cell.times.ticks) if a is not None]
     most = max(sum(newer > t and sooner < a for newer, sooner in each) for t, a in each)
-    assert context_of(cell).overtaking == most > 1
+    assert context_of(cell).oosm_lag == most > 1
 
 
 def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sample(tmp_path):

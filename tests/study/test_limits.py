@@ -37,9 +37,9 @@ def test_samples_on_their_way_are_counted_by_the_longest_delay():
 
 
 def test_samples_may_be_overtaken_by_so_many_newer_ones_and_no_more():
-    times.require_few_samples([Clock((0,), 1, 5, spread=times.OVERTAKING + 1)], 5000, 1e-3, "test")
+    times.require_few_samples([Clock((0,), 1, 5, spread=times.MAX_OOSM_LAG + 1)], 5000, 1e-3, "test")
     with pytest.raises(UserError, match=r"that may arrive after up to 1,001 newer ones"):
-        times.require_few_samples([Clock((0,), 1, 5, spread=times.OVERTAKING + 2)], 5000, 1e-3, "test")
+        times.require_few_samples([Clock((0,), 1, 5, spread=times.MAX_OOSM_LAG + 2)], 5000, 1e-3, "test")
 
 
 @pytest.mark.parametrize(("cells", "ticks"), [(times.CELLS, 100), (100, times.CELL_TICKS // 100)])

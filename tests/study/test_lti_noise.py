@@ -100,8 +100,8 @@ def test_the_bound_is_that_of_the_noise_that_there_is_whatever_designers_assume(
 
 
 def test_designers_are_told_the_noise_unless_the_study_says_what_they_assume():
-    told = planning.context_of(the_cell()).process_noise
-    np.testing.assert_allclose(told, linear.process_noise(MODEL.A, W, TICK), rtol=1e-10)
+    assumed = planning.context_of(the_cell()).process_noise
+    np.testing.assert_allclose(assumed, linear.process_noise(MODEL.A, W, TICK), rtol=1e-10)
     wrong = planning.context_of(the_cell(lti=FULL | {"assumed_process_std": [0.1, 0.2, 0.3]})).process_noise
     np.testing.assert_allclose(wrong, np.diag([0.01, 0.04, 0.09]), rtol=1e-14)
 

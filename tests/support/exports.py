@@ -16,7 +16,7 @@ HOMES = {
     "high-gain-predictor": "flexible-joint/sampled",
     "mhe-bounded": "reactor",
 }
-WILD = {  # late, lost and overtaking samples
+WILD = {  # late, lost and out-of-sequence samples
     "name": "wild",
     "scenario": {
         "base": "cart/white",

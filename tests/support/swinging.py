@@ -42,7 +42,7 @@ def seen(z):
 def told(**changes):
     """What a designer is told."""
     known = DesignContext(
-        "swinging", LINEAR, H, TICKS, (7, 7), (5, 5), tuple(np.sqrt(R)), P0, 0.0, overtaking=3, flight=4, latest=20,
+        "swinging", LINEAR, H, TICKS, (7, 7), (5, 5), tuple(np.sqrt(R)), P0, 0.0, oosm_lag=3, flight=4, latest=20,
         process_std=PROCESS, unknown_std=(SIZE,), unknown0=(P_START,), unknown_range=(RANGE,),
         field=jax.tree_util.Partial(field), sensor=jax.tree_util.Partial(sensor),
     )  # fmt: skip
@@ -61,7 +61,7 @@ def inputs():
 
 @cache
 def samples():
-    """Late, lost and overtaking: both channels together, or one of them."""
+    """Late, lost and out of sequence: both channels together, or one of them."""
     rng, out = np.random.default_rng(6), []
     for taken in range(0, TICKS, 7):
         arrival = taken + int(rng.integers(0, 19))

@@ -187,5 +187,5 @@ def design(context: DesignContext, options: linear_filter.Options, name: str, pa
             return RetrodictionParams(linear.powers(reverse, context.dt, context.ticks), np.zeros(past))
 
     return linear_filter.design(
-        context, options, name, extra=params_of, reason=reason if context.overtaking else "", restarts=False
+        context, options, name, extra=params_of, reason=reason if context.oosm_lag else "", restarts=False
     )

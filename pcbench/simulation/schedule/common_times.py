@@ -89,7 +89,7 @@ def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
     return np.concatenate(tables)
 
 
-def max_overtaking(samples: list[Sample]) -> int:
+def max_oosm_lag(samples: list[Sample]) -> int:
     """Return the largest number of newer samples that arrive before an older one."""
     times = np.array(
         sorted({(s.tick + s.timestamp_error, s.arrives) for s in samples if s.arrives < NEVER}), int
@@ -257,17 +257,17 @@ def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     return schedule(samples(clocks, ticks), ticks, len(period))
 
 
-def oldest(samples: list[Sample], overtaking: int) -> int:
+def oldest(samples: list[Sample], oosm_lag: int) -> int:
     """Return the largest age [ticks] of an input that an observer may need.
 
     For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
-    K = `max_overtaking`. The result is the maximum over i.
+    K = `max_oosm_lag`. The result is the maximum over i.
     """
     times = np.array(
         sorted({(max(s.tick + min(s.timestamp_error, 0), 0), s.arrives) for s in samples if s.arrives < NEVER}), int
     ).reshape(-1, 2)
     timestamps, arrives = times.T
-    back = 2 * overtaking + 1
+    back = 2 * oosm_lag + 1
     previous = np.concatenate([np.zeros(back, int), timestamps])[: len(timestamps)]
     return int((np.maximum.accumulate(arrives) - previous).max(initial=0))
 

@@ -206,7 +206,7 @@ def room(clocks: Sequence[Clock], ticks: int, error: int) -> int:
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
 
-def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
+def oldest(clocks: list[Clock], ticks: int, oosm_lag: int) -> int:
     """Return an upper limit of the age [ticks] of an input that an observer may need, for any delays.
 
     It covers the sample before the newest and before all that may arrive out of sequence. If samples are lost, it covers the
@@ -217,10 +217,10 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
     loss = max(sampling.breaks(c)[1] for c in clocks)
     burst = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
     longest = max(c.outage[1] - c.outage[0] for c in clocks)
-    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + burst) * interval + longest
+    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * oosm_lag + 1 + burst) * interval + longest
 
 
-def max_overtaking(clocks: list[Clock], ticks: int) -> int:
+def max_oosm_lag(clocks: list[Clock], ticks: int) -> int:
     """Return an upper limit of the newer samples that arrive before an older one, at most all others of a run."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
     wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0

@@ -1,4 +1,4 @@
-"""Noise that is believed larger or smaller than it is: the axis `assumed_noise_scale` is what an option says in each filter."""
+"""Noise that is assumed larger or smaller than it is: the axis `assumed_noise_scale` is what an option says in each filter."""
 
 import numpy as np
 import pytest
@@ -18,12 +18,12 @@ def cells(**given):
     return cells_of(parse.parse(KNOWN | given, "test"))
 
 
-def test_designers_are_told_so_many_times_the_noise():
-    told = [planning.context_of(cell).noise_std for cell in cells(axes=AXIS)]
-    np.testing.assert_allclose(told, [[0.15], [0.3], [0.9]], rtol=1e-12)
+def test_designers_assume_so_many_times_the_noise():
+    assumed = [planning.context_of(cell).noise_std for cell in cells(axes=AXIS)]
+    np.testing.assert_allclose(assumed, [[0.15], [0.3], [0.9]], rtol=1e-12)
 
 
-def test_what_is_believed_changes_neither_the_samples_nor_the_bound():
+def test_what_is_assumed_changes_neither_the_samples_nor_the_bound():
     plans = planning.plan(parse.parse(KNOWN | {"axes": AXIS}, "test"))
     for p in plans:
         np.testing.assert_array_equal(p.problem.noise_std, [0.3])
