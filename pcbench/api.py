@@ -99,7 +99,7 @@ def run(
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "evaluation": evaluation}, overrides or [])
     with config.float64():
-        how = run_study.RunOptions(
+        run_options = run_study.RunOptions(
             overwrite=overwrite,
             until_se=until_se,
             max_seeds=plain(max_seeds),
@@ -119,14 +119,14 @@ def run(
         variants = gain_variants.prepare(grid, out, overwrite, progress)
         if say and variants.study.tuning_sentence:
             say(variants.study.tuning_sentence)
-        result = run_study.execute(variants.grid, out, how)
+        result = run_study.execute(variants.grid, out, run_options)
         for sentence in missing_inputs.explain_divergence(variants.grid, lambda: result.stats):
             (say or warnings.warn)(sentence)
         if variants.aim is None:
             return result
         from pcbench.gains import fair_comparison  # tuned gains alone need it
 
-        return fair_comparison.report(variants, result, out, how)
+        return fair_comparison.report(variants, result, out, run_options)
 
 
 def exact_moments(
@@ -251,12 +251,11 @@ def simulate(
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_forward_fill(out.newest).T)}
     frame = pd.DataFrame(columns)
-    driven = units(p.cell.scenario.loop.input, out.u.shape[1])
+    input_units = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["excluded"] = study.excluded or {}  # reasons for observers of "all" that are missing
-    frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
+    frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(input_units)}
     frame.attrs["output_units"] = {f"y{i + 1}": unit for i, unit in enumerate(output_units(p.cell.scenario))}
-    # of the predictions to the present, by observer
-    frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)
+    frame.attrs["predicts_unknown_input"] = dict(p.predicts_unknown_input)  # by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
 
@@ -328,19 +327,13 @@ def design(
         DesignError: the gains are not certified; the sentence has the margin.
     """
     with config.float64():
-        from pcbench.gains import design
+        from pcbench.gains.design import design as design_in_study
 
-        return design.design(scenario, observer, gain=gain, overrides=overrides)[2]
+        return design_in_study(scenario, observer, gain=gain, overrides=overrides)[2]
 
 
-SIMULATION_ONLY = (
-    "objective",
-    "signal",
-    "optimizer",
-    "exact_objective",
-    "training_seeds",
-    "validation_seeds",
-)  # arguments for simulated runs only
+# arguments for simulated runs only
+SIMULATION_ONLY = ("objective", "signal", "optimizer", "exact_objective", "training_seeds", "validation_seeds")
 
 
 def tune(

@@ -18,9 +18,8 @@ class Limit(NamedTuple):
 
 
 PROBABILITY = Limit(lambda n: n <= 1, "a probability from 0 to 1; divide a percentage by 100.")
-End = (
-    float | str
-)  # end of a range: a number; or tick; half: of the shortest interval; period; -period; tail: few samples in it
+# end of a range: a number; or tick; half: of the shortest interval; period; -period; tail: few samples in it
+End = float | str
 
 
 class Field(NamedTuple):

@@ -204,7 +204,7 @@ def plan_runs(claim: StudyClaim, todo: Gaps, seeds_of: SeedsOf) -> RunPlan:
     drafts: list[Plan] = []
     ids: set[int] = set()  # arrays, all alive in drafts that are kept
     for p in padding.check_drafts(plan.drafts()):
-        room = padding.larger(room, padding.room_of(p))
+        room = padding.larger(room, padding.capacity_of(p))
         if budget >= 0:
             new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in ids}
             budget -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())

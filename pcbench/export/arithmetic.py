@@ -14,7 +14,7 @@ from jax.lax import RoundingMethod
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import Eqn, EqnParams
 from pcbench.export.terms import Entries, Entry, Term, Writer, as_c, kind_of, number_entries, place_of
-from pcbench.planning.operation_counts import ONCE
+from pcbench.planning.operation_counts import PER_ENTRY
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
 INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}
@@ -103,7 +103,7 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     if name in SAME or (name == "convert_element_type" and eqn.invars[0].aval.dtype == aval.dtype):
         return args[0]
     kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
-    products = int(name in ONCE and kind == "real")
+    products = int(name in PER_ENTRY and kind == "real")
     each = [np.broadcast_to(a, aval.shape) for a in args]
     if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MANY:
         return _select_in_loop(w, kind, *each)

@@ -94,7 +94,7 @@ def plan_cells(cells: list[Cell], joint: bool = False) -> Iterator[Plan]:
     most = max(map(ring, cells))
     least = PACKETS if len(cells) > WINDOW else most  # with this many grid points another program pays off
     for p in padding.check_drafts(drafts(cells)):
-        room, packets = padding.room_of(p), ring(p.cell)
+        room, packets = padding.capacity_of(p), ring(p.cell)
         plan = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
         layout = plan.layout
         places = power_of_2(packets if _flight(plan) else most if packets > least else min(most, least))

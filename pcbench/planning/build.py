@@ -57,7 +57,7 @@ def bound(cell: Cell, context: DesignContext, cache: memo.Cache = memo.no_cache)
     model_key = key_of((context.model, context.dt, context.noise_covariance, s.truth.process_std))
     key = model_key, key_of((context.ticks, context.noise_covariance, context.P0, cell.times.tail)), tuple(clocks)
     steps = cache("steps", model_key, riccati.no_steps)
-    transitions = cache("moved", (model_key, context.ticks), lambda: _over_ticks(context, s.truth.process_std))
+    transitions = cache("transitions", (model_key, context.ticks), lambda: _over_ticks(context, s.truth.process_std))
 
     def compute_bound() -> NDArray[np.float64]:
         _, C, R = assumed_noise.independent(context, None, context.model.C, context.scenario)
@@ -126,7 +126,7 @@ def _groups(cell: Cell, cache: memo.Cache, is_limited: bool, split_expensive: bo
     With a processor of limited speed (`is_limited`) no program is shared. If not `has_options`, the options are empty.
     """
     is_separate = is_limited or bool(cell.scenario.loop.controller)
-    # each has its own program
+    # observers with their own program
     separate = [o for o in cell.options if is_separate or (split_expensive and cell.entry(o).expensive)]
     common = {o: values for o, values in cell.options.items() if o not in separate}
     groups = [(cell, common), *((with_computing_time(cell, o, cache), {o: cell.options[o]}) for o in separate)]
@@ -161,10 +161,10 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
         return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
     if widths := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(widths)
-    most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
+    max_width = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
     if runs is None or cell.scenario.loop.controller or cell.times.random:
-        return most
-    return next((lanes for lanes in runner.NARROW if runs <= lanes < most), most)
+        return max_width
+    return next((lanes for lanes in runner.NARROW if runs <= lanes < max_width), max_width)
 
 
 def draft(
@@ -172,29 +172,29 @@ def draft(
 ) -> Plan:
     """Return the plan of one grid point for the observers in `options`; `padding.fit` gives it a common shape later."""
     s, context = cell.scenario, context or context_of(cell, cache)
-    true, belief, choices, measured = s.truth, s.belief, cell.choices, s.sampling
+    truth, belief, choices, sampling = s.truth, s.belief, cell.choices, s.sampling
     plant, n = plants.entry_of(s), cell.times.ticks
     designs = {
         o: cache("designs", (cell.key, o), partial(memo.run_design, o, cell.entry(o), context, values))
         for o, values in options.items()
     }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
-    numbers: TomlTable = {"drift": true.parameter_drift} if "drift" in plant.numbers._fields else {}
+    numbers: TomlTable = {"drift": truth.parameter_drift} if "drift" in plant.numbers._fields else {}
     numbers |= cell.parameters
-    if "sensor_delay" in plant.numbers._fields:  # of samples [s]; the mean if it varies
+    if "sensor_delay" in plant.numbers._fields:  # delay of the samples [s], or its mean if it varies
         clock = cell.times.clocks[0]
         numbers["sensor_delay"] = float((clock.period if clock.delay is None else clock.delay) + clock.later) * s.dt
-    numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
+    numbers |= {"unknown_input": truth.unknown_input} if truth.unknown_input else {}
     has_box = choices.random_initial_state and bool(belief.initial_box)
     from_prior = choices.random_initial_state and not has_box
-    probability, scale, step = measured.outlier_probability, measured.outlier_scale, measured.quantization_step
+    probability, scale, step = sampling.outlier_probability, sampling.outlier_scale, sampling.quantization_step
     outliers: Outliers | tuple[()] = ()
     if probability:
-        n_channels = len(measured.delay) if isinstance(probability, tuple) or isinstance(scale, tuple) else 0
+        n_channels = len(sampling.delay) if isinstance(probability, tuple) or isinstance(scale, tuple) else 0
         outliers = Outliers(
             *(np.asarray(per_channel(a, n_channels) if n_channels else a) for a in (probability, scale))
         )
-    key = tuple(cell.times.clocks), n, cell.times.error, measured.continuous, len(measured.delay)
+    key = tuple(cell.times.clocks), n, cell.times.error, sampling.continuous, len(sampling.delay)
     schedule, room = cache("schedule", key, lambda: schedule_of(cell))
     problem = GridPointParams(
         params=prepare_params(plant, plants.replace_numbers(plants.numbers_of(s), numbers), s.dt, n, cache),
@@ -202,35 +202,34 @@ def draft(
         schedule=schedule,
         inputs=_inputs(cell, context, cache),
         dt=np.asarray(s.dt),
-        x0=np.array(belief.xhat0 if from_prior else true.x0),
-        xhat0=np.array(true.x0 if has_box else belief.xhat0),
-        spread0=np.diag(belief.prior_std if from_prior else choices.initial_spread * np.abs(true.x0)),
-        noise_std=np.array(measured.noise_std),
+        x0=np.array(belief.xhat0 if from_prior else truth.x0),
+        xhat0=np.array(truth.x0 if has_box else belief.xhat0),
+        spread0=np.diag(belief.prior_std if from_prior else choices.initial_spread * np.abs(truth.x0)),
+        noise_std=np.array(sampling.noise_std),
         band=np.array(s.scoring.settle_band),
         bound=np.broadcast_to(np.asarray(s.scoring.divergence_threshold, float), len(s.scoring.settle_band)),
         windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
-        process_std=np.array(true.process_std),
-        jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
+        process_std=np.array(truth.process_std),
+        jumps=np.array([tick for tick in jumps(truth.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(belief.initial_box) * has_box,
         network=loop_setup.network(cell),
         weights=loop_setup.weights(cell),
         outliers=outliers,
-        rounding=Rounding(np.array(step), np.asarray(measured.dither)) if any(step) else (),
-        trigger=_trigger(measured),
-        tail=np.asarray(dof) if np.isfinite(dof := measured.student_t_dof) else (),
-        noise_root=np.linalg.cholesky(rho) if (rho := measured.noise_correlation) else np.zeros((0, 0)),
+        rounding=Rounding(np.array(step), np.asarray(sampling.dither)) if any(step) else (),
+        trigger=_trigger(sampling),
+        tail=np.asarray(dof) if np.isfinite(dof := sampling.student_t_dof) else (),
+        noise_root=np.linalg.cholesky(rho) if (rho := sampling.noise_correlation) else np.zeros((0, 0)),
     )
-    unlimited_cell = (
-        cell._replace(times=times_of(s)) if isfinite(measured.processor_speed) else cell
-    )  # without the limit of a processor
+    # without the limit of a processor
+    unlimited_cell = cell._replace(times=times_of(s)) if isfinite(sampling.processor_speed) else cell
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
         width=width(cell, labels=options),
         ring=room,
         random_initial_state=from_prior or choices.initial_spread > 0,
-        continuous=measured.continuous,
-        drifting=bool(true.parameter_drift and plant.plant.of_run),
+        continuous=sampling.continuous,
+        drifting=bool(truth.parameter_drift and plant.plant.of_run),
         controller=loop_setup.controller(cell),
         scattered=bool(belief.initial_box),
         pending=loop_setup.max_pending(cell),
@@ -249,12 +248,12 @@ def draft(
     )
 
 
-def _trigger(measured: Sampling) -> Trigger | tuple[()]:
+def _trigger(sampling: Sampling) -> Trigger | tuple[()]:
     """Return which samples are sent; (): all of them."""
-    if not measured.sensors_decide:
+    if not sampling.sensors_decide:
         return ()
-    threshold = measured.send_threshold or (0.0,) * len(measured.delay)
-    return Trigger(np.array(threshold), np.asarray(measured.try_once_discard))
+    threshold = sampling.send_threshold or (0.0,) * len(sampling.delay)
+    return Trigger(np.array(threshold), np.asarray(sampling.try_once_discard))
 
 
 def _inputs(cell: Cell, context: DesignContext, cache: memo.Cache) -> NDArray[np.float64]:
@@ -299,8 +298,9 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
 def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[common_times.Sample]:
     """Return every sample of a grid point, also lost ones; for one run (root seed, seed) if sampling is random."""
     clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
-    random = run is not None and cell.times.random
-    return random_times.draw_samples(clocks, n, channels, *run) if random and run else common_times.samples(clocks, n)
+    if run is not None and cell.times.random:
+        return random_times.draw_samples(clocks, n, channels, *run)
+    return common_times.samples(clocks, n)
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:

@@ -133,7 +133,7 @@ def _matters(p: Plan, size: Floats) -> bool:
     """Return whether rounding of signals [n + s] of this size matters for settling bands, or noise."""
     n = len(p.problem.x0)
     state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
-    y = np.asarray(_MEASURED(p.layout, jax.tree.map(np.asarray, p.problem), state))
+    y = np.asarray(_JIT_OUTPUT(p.layout, jax.tree.map(np.asarray, p.problem), state))
     process = np.asarray(p.problem.process_std)  # [n] std per tick, [n, n] a root of the covariance, or [0]: none
     process = np.sqrt(np.square(process).sum(-1)) if process.ndim == 2 else process
     return bool(
@@ -148,9 +148,8 @@ def _output(layout: Layout, p: GridPointParams, x: Float[Array, " n"]) -> Float[
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
 
 
-_MEASURED = program_cache.jit_with_limit(
-    _output, static_argnums=0
-)  # called after each call of a grid point, so compiled once
+# called after each call of a grid point, so compiled once
+_JIT_OUTPUT = program_cache.jit_with_limit(_output, static_argnums=0)
 
 
 def _exceeds_trifle(size: Floats, std: Floats) -> bool:

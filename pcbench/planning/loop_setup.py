@@ -47,9 +47,9 @@ def reach(cell: Cell, oosm_lag: int, ticks: int) -> Reach:
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     age = oldest(cell, oosm_lag, ticks)
-    longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
+    max_delay = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
     back = command_network.rows_needed(delay, s.dt, ticks, age + 1)
-    return Reach(back, times.to_ticks(longest, s) + 2 + times.to_ticks(s.loop.command_jitter, s))
+    return Reach(back, times.to_ticks(max_delay, s) + 2 + times.to_ticks(s.loop.command_jitter, s))
 
 
 def oldest(cell: Cell, oosm_lag: int, ticks: int) -> int:
@@ -84,11 +84,11 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
     s, context = cell.scenario, make_controller_context(cell, reach, ticks)
     entry, name = controllers.entry_of(s), s.loop.controller
     if "controller" not in s.user_code:
-        law = entry.prepare(options(cell), context)
+        control = entry.prepare(options(cell), context)
     else:
         try:
-            law = entry.prepare(options(cell), context)
-            arrays = jax.tree.map(np.asarray, law)
+            control = entry.prepare(options(cell), context)
+            arrays = jax.tree.map(np.asarray, control)
         except UserError:
             raise
         except Exception as error:
@@ -99,8 +99,8 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
         sizes = law_conformance.Sizes(n, signals - n, m)
         law_conformance.check(name, controllers.law_of(entry, options(cell)), arrays, sizes)
     if controller_table.has_generic_controller(s):
-        return law, command_network.held_line(context.late, reach.back, ticks + reach.lookahead)
-    return law, command_network.line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
+        return control, command_network.held_line(context.late, reach.back, ticks + reach.lookahead)
+    return control, command_network.line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
 
 
 def max_pending(cell: Cell) -> int:
@@ -131,11 +131,11 @@ def weights(cell: Cell) -> metrics.Weights | tuple[()]:
         return ()
     law_options, context = options(cell), controller_table.controller_context(s)
     n, m = context.model.B.shape
-    none = np.zeros((0, n)), np.zeros((0, m))
+    no_refs = np.zeros((0, n)), np.zeros((0, m))
     Q1, Q2 = getattr(law_options, "Q1", None), getattr(law_options, "Q2", None)
     if Q1 is None:
-        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)), *none)
+        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)), *no_refs)
     points = law_options.set_point if isinstance(law_options, Options) else {}
-    aims = reference(points, context.states, context.tick, context.dt, cell.times.ticks + 1) if points else none
+    refs = reference(points, context.states, context.tick, context.dt, cell.times.ticks + 1) if points else no_refs
     sizes = controller_table.sizes(s, "controller")
-    return metrics.Weights(matrix(Q1, (n, n), "Q1", sizes), matrix(Q2, (m, m), "Q2", sizes), *aims)
+    return metrics.Weights(matrix(Q1, (n, n), "Q1", sizes), matrix(Q2, (m, m), "Q2", sizes), *refs)

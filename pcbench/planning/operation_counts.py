@@ -29,8 +29,9 @@ from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Gains, Memory, Observer
 from pcbench.simulation.types import GridPointParams, present
 
-ONCE = {"mul", "div", "rem", "sqrt", "rsqrt", "cbrt", "square", "integer_pow", "pow", "exp", "exp2", "expm1", "log"}
-ONCE |= {"log1p", "logistic", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
+# one product per entry of the result
+PER_ENTRY = {"mul", "div", "rem", "sqrt", "rsqrt", "cbrt", "square", "integer_pow", "pow", "exp", "exp2", "expm1"}
+PER_ENTRY |= {"log", "log1p", "logistic", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
 Value = Callable[[], ArrayLike]  # computed on demand
 CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as the solution takes
 
@@ -76,9 +77,8 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
     of_sample = jax.make_jaxpr(sample)(gains, start, ones, k, k, snapshot(start, k))
     of_tick = jax.make_jaxpr(tick)(gains, start, k)
     size = sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(start))
-    clock = count_multiplications(
-        lambda k: present(problem, k, True).t, k
-    )  # of the time t, which is not part of the observer
+    # of the time t, which is not part of the observer
+    time_cost = count_multiplications(lambda k: present(problem, k, True).t, k)
 
     @cache
     def cost(age: int, period: int) -> Cost:
@@ -86,7 +86,7 @@ def counter(p: Plan, name: str, o: Observer) -> Callable[[int, int], Cost]:
         memory, k = memory_at(last, age, period), jnp.asarray(age + last * period)
         arrived = ones, k, jnp.asarray(age), snapshot(memory, k - age)
         counts = _count(of_sample, (gains, memory, *arrived)), _count(of_tick, (gains, memory, k))
-        return Cost(counts[0] - clock, counts[1] - clock, size)
+        return Cost(counts[0] - time_cost, counts[1] - time_cost, size)
 
     return cost
 
@@ -107,7 +107,7 @@ def _memory_at_sample(
 
     def unflatten(ticks: Sequence[Array]) -> Memory:
         new = iter(ticks)
-        return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(is_integer, leaves, strict=True)])
+        return jax.tree.unflatten(tree, [next(new) if flag else a for flag, a in zip(is_integer, leaves, strict=True)])
 
     def after(age: Array, period: Array, number: Array, ticks: Sequence[Array]) -> list[Array]:
         memory, now = unflatten(ticks), present(p, age + number * period, False)
@@ -115,11 +115,11 @@ def _memory_at_sample(
         if o.on_sample:
             memory = o.on_sample(gains, memory, now, jnp.ones(q, bool))
         new = jax.tree.leaves(o.jump(gains, memory, now, _arrival(jnp.ones(q), age, snapshot)))
-        return [a.astype(b.dtype) for a, b, w in zip(new, leaves, is_integer, strict=True) if w]
+        return [a.astype(b.dtype) for a, b, flag in zip(new, leaves, is_integer, strict=True) if flag]
 
     @jax.jit
     def until(last: Array, age: Array, period: Array) -> list[Array]:
-        before = [a for a, w in zip(leaves, is_integer, strict=True) if w]
+        before = [a for a, flag in zip(leaves, is_integer, strict=True) if flag]
         return lax.fori_loop(0, last, partial(after, age, period), before)
 
     return lambda last, age, period: unflatten(until(last, age, period))
@@ -180,12 +180,12 @@ def _step(eqn: Eqn, inputs: list[Value]) -> tuple[int, list[Value]]:
 
     out: list[Value] = [partial(lambda i: results()[i], i) for i in range(len(eqn.outvars))]
     if name == "scan":
-        body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
-        rows: list[Value] = [partial(lambda rows: rows()[0], row) for row in inputs[consts + carry :]]
+        body, n_consts, n_carry, length, _ = jaxpr_compat.scan(eqn.params)
+        n = n_consts + n_carry
+        rows: list[Value] = [partial(lambda xs: xs()[0], xs) for xs in inputs[n:]]
         body_consts = [*map(_constant_value, body.consts)]
-        return length * (
-            _walk_jaxpr(body.jaxpr, body_consts, [*inputs[: consts + carry], *rows])[0] if length else 0
-        ), out
+        body_cost = _walk_jaxpr(body.jaxpr, body_consts, [*inputs[:n], *rows])[0] if length else 0
+        return length * body_cost, out
     return _products(eqn), out
 
 
@@ -194,8 +194,9 @@ def _while(eqn: Eqn, inputs: list[Value]) -> tuple[int, list[Value]]:
 
     If all rounds cost the same, one round is counted. Only the values that decide the number of rounds are then computed.
     """
-    cond, body, first, second = jaxpr_compat.while_(eqn.params)
-    cond_args, body_args, start = inputs[:first], inputs[first : first + second], inputs[first + second :]
+    cond, body, cond_nconsts, body_nconsts = jaxpr_compat.while_(eqn.params)
+    n_consts = cond_nconsts + body_nconsts
+    cond_args, body_args, start = inputs[:cond_nconsts], inputs[cond_nconsts:n_consts], inputs[n_consts:]
     cond_consts, body_consts = [*map(_constant_value, cond.consts)], [*map(_constant_value, body.consts)]
 
     def rounds(only: set[int] | None, entries: set[int]) -> tuple[int, list[Value]]:
@@ -212,7 +213,7 @@ def _while(eqn: Eqn, inputs: list[Value]) -> tuple[int, list[Value]]:
     if _chooses(cond.jaxpr) or _chooses(body.jaxpr):
         return rounds(None, all_entries)
     body_cost = _walk_jaxpr(body.jaxpr, body_consts, [*body_args, *start])[0]
-    entries, only = _condition_inputs(cond.jaxpr, body.jaxpr, first, second)
+    entries, only = _condition_inputs(cond.jaxpr, body.jaxpr, cond_nconsts, body_nconsts)
     total, state = rounds(only, entries)
     full_state = cache(lambda: rounds(None, all_entries)[1])
     return total, [state[i] if i in entries else partial(lambda i: full_state()[i](), i) for i in range(len(start))]
@@ -229,26 +230,26 @@ def _chooses(jaxpr: Jaxpr) -> bool:
     return False
 
 
-def _condition_inputs(cond: Jaxpr, body: Jaxpr, first: int, second: int) -> tuple[set[int], set[int]]:
+def _condition_inputs(cond: Jaxpr, body: Jaxpr, cond_nconsts: int, body_nconsts: int) -> tuple[set[int], set[int]]:
     """Return the entries of a loop's state that its condition depends on, and the equations of its body that compute them."""
 
-    def dependencies(jaxpr: Jaxpr, places: set[int]) -> tuple[set[int], set[Any]]:
-        equations, variables = set[int](), {v for i in places if not _literal(v := jaxpr.outvars[i])}
+    def dependencies(jaxpr: Jaxpr, entries: set[int]) -> tuple[set[int], set[Any]]:
+        equations, variables = set[int](), {v for i in entries if not _literal(v := jaxpr.outvars[i])}
         for i, eqn in reversed([*enumerate(jaxpr.eqns)]):
             if variables & {*eqn.outvars}:
                 equations.add(i)
                 variables |= {v for v in eqn.invars if not _literal(v)}
         return equations, variables
 
-    def state(jaxpr: Jaxpr, before: int, variables: set[Any]) -> set[int]:
-        return {i for i, v in enumerate(jaxpr.invars[before:]) if v in variables}
+    def state(jaxpr: Jaxpr, n_consts: int, variables: set[Any]) -> set[int]:
+        return {i for i, v in enumerate(jaxpr.invars[n_consts:]) if v in variables}
 
-    new, places, equations = state(cond, first, dependencies(cond, {0})[1]), set[int](), set[int]()
-    while new - places:
-        places |= new
-        equations, variables = dependencies(body, places)
-        new = state(body, second, variables)
-    return places, equations
+    new, entries, equations = state(cond, cond_nconsts, dependencies(cond, {0})[1]), set[int](), set[int]()
+    while new - entries:
+        entries |= new
+        equations, variables = dependencies(body, entries)
+        new = state(body, body_nconsts, variables)
+    return entries, equations
 
 
 def _literal(v: Any) -> bool:
@@ -265,4 +266,4 @@ def _products(eqn: Eqn) -> int:
     if name in CUBIC:
         n = eqn.invars[0].aval.shape[-1]
         return int(n * n * out.shape[-1]) if name == "triangular_solve" else n**3 // 3
-    return int(np.prod(out.shape)) if name in ONCE else 0
+    return int(np.prod(out.shape)) if name in PER_ENTRY else 0

@@ -38,9 +38,8 @@ class Plan(NamedTuple):
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] smallest RMSE over the tail of any causal estimator; None: not available
     predicts_unknown_input: dict[str, bool | None]  # by observer, for its prediction to the present
-    labels: tuple[
-        str, ...
-    ]  # of the layout's observers; in a closed loop the layout has their base names, to share a program
+    # of the layout's observers; in a closed loop the layout has their base names, to share a program
+    labels: tuple[str, ...]
     reach: loop_setup.Reach | None  # closed loop only
 
 
@@ -52,10 +51,10 @@ class Capacity(NamedTuple):
     shares: int = 0  # values of an independently drawn delay
     ring: int = 0  # packets on the network at one time
     early: int = 0  # packets from before tick 0
-    notes: int = 0  # snapshots at one tick, in addition to the first
+    extra_snapshots: int = 0  # snapshots at one tick, in addition to the first
     back: int = 0  # ticks of stored commands in a closed loop
     lookahead: int = 0  # ticks past the end in a closed loop
-    falls: int = 0  # jumps of the unknown input
+    jumps: int = 0  # jumps of the unknown input
     pending: int = 0  # commands on a network at one time
     outliers: bool = False  # there are outliers
     rounding: bool = False  # samples are quantized
@@ -63,21 +62,21 @@ class Capacity(NamedTuple):
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its parameters
 
 
-def room_of(p: Plan) -> Capacity:
+def capacity_of(p: Plan) -> Capacity:
     """Return the room that one draft needs."""
     schedule, common = p.problem.schedule, isinstance(p.problem.schedule, common_times.Schedule)
     rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
-    back, ahead = p.reach or (0, 0)
+    back, lookahead = p.reach or (0, 0)
     return Capacity(
         slots=schedule.arrive.shape[1] if common else 1,
         due=0 if common else schedule.due.shape[1],
         shares=0 if common else schedule.share.shape[1],
         ring=power_of_2(p.layout.ring),
         early=power_of_2(len(schedule.early)) if common else 0,
-        notes=schedule.extra_snapshots.shape[1] if common else 0,
+        extra_snapshots=schedule.extra_snapshots.shape[1] if common else 0,
         back=power_of_2(back),
-        lookahead=power_of_2(ahead),
-        falls=len(p.problem.jumps),
+        lookahead=power_of_2(lookahead),
+        jumps=len(p.problem.jumps),
         pending=power_of_2(p.layout.pending),
         outliers=bool(p.problem.outliers),
         rounding=bool(p.problem.rounding),
@@ -97,15 +96,14 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
 def fit_to_capacity(p: Plan, room: Capacity, cache: memo.Cache = memo.no_cache) -> Plan:
     """Return a draft padded to the shape of `room`."""
     draft_schedule, rows = p.problem.schedule, dict(room.rows)
-    _, schedule = cache(
-        "fitted", (id(draft_schedule), room), lambda: (draft_schedule, _pad_schedule(draft_schedule, room))
-    )  # the object is alive, so its id is unique
+    key = id(draft_schedule), room  # the cache keeps the object alive, so its id is unique
+    _, schedule = cache("schedules", key, lambda: (draft_schedule, _pad_schedule(draft_schedule, room)))
     leaves, tree = jax.tree.flatten(p.problem.params)
     for i, a in enumerate(leaves):
         if np.ndim(a) and len(a) == 1 < (n_rows := rows[p.cell.scenario.plant, i]):
             leaves[i] = np.broadcast_to(a, (n_rows, *np.shape(a)[1:]))
     jump_ticks = p.problem.jumps
-    if n_missing := room.falls - len(jump_ticks):
+    if n_missing := room.jumps - len(jump_ticks):
         jump_ticks = np.pad(jump_ticks, (0, n_missing), constant_values=common_times.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=jump_ticks)
     if not p.layout.defined:  # neutral values for the random effects of other grid points
@@ -117,8 +115,8 @@ def fit_to_capacity(p: Plan, room: Capacity, cache: memo.Cache = memo.no_cache) 
         )
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
-        law, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.lookahead), p.cell.times.ticks)
-        problem = problem._replace(control=law, line=line)
+        control, line = loop_setup.close(p.cell, loop_setup.Reach(room.back, room.lookahead), p.cell.times.ticks)
+        problem = problem._replace(control=control, line=line)
         layout = layout._replace(commands=room.back, pending=room.pending if layout.pending else 0)
     return p._replace(problem=problem, layout=layout)
 
@@ -128,7 +126,7 @@ def stack_schedules(schedules: list[common_times.Schedule]) -> common_times.Sche
     room = Capacity(
         slots=power_of_2(max(s.arrive.shape[1] for s in schedules)),
         early=power_of_2(max(len(s.early) for s in schedules)),
-        notes=power_of_2(max(s.extra_snapshots.shape[1] for s in schedules)),
+        extra_snapshots=power_of_2(max(s.extra_snapshots.shape[1] for s in schedules)),
     )
     stack: common_times.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_pad_schedule(s, room) for s in schedules))
     return stack
@@ -137,8 +135,8 @@ def stack_schedules(schedules: list[common_times.Schedule]) -> common_times.Sche
 def _pad_schedule(schedule: AnySchedule, room: Capacity) -> AnySchedule:
     if isinstance(schedule, random_times.ClockParams):
         return random_times.pad_times(schedule, room.due, room.shares)
-    with_room = common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early)
-    return common_times.pad_notes(with_room, room.notes)
+    padded = common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early)
+    return common_times.pad_notes(padded, room.extra_snapshots)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
@@ -149,7 +147,7 @@ def fit(drafts: list[Plan]) -> list[Plan]:
 
 def required_capacity(drafts: Iterable[Plan]) -> Capacity:
     """Return the room for the largest of some drafts."""
-    return reduce(larger, map(room_of, drafts), Capacity())
+    return reduce(larger, map(capacity_of, drafts), Capacity())
 
 
 def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
@@ -160,10 +158,8 @@ def check_drafts(drafts: Iterable[Plan]) -> Iterator[Plan]:
     keys: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
-            if (
-                _has_user_code(observer, p.layout.plant)
-                and (key := (label, p.layout.plant, p.layout.continuous)) not in keys
-            ):
+            key = label, p.layout.plant, p.layout.continuous
+            if key not in keys and _has_user_code(observer, p.layout.plant):
                 keys.add(key)
                 shape_checks.check(label, observer, p.problem, p.layout.continuous)
         yield p

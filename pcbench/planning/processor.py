@@ -60,10 +60,10 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
     load = IDLE
     while delay + load.wait <= ticks:
         sample = base.sample + (by_age * load.wait + by_interval * (load.every - 1) * period) / period
-        need = computing_time(sample, base.tick, speed, dt) / dt
-        if not need <= ticks:
+        ticks_needed = computing_time(sample, base.tick, speed, dt) / dt
+        if not ticks_needed <= ticks:
             break
-        if (wait := floor(need + 0.5)) <= load.wait:
+        if (wait := floor(ticks_needed + 0.5)) <= load.wait:
             return load
         load = Load(wait, -(-wait // period))
     return Load(NEVER, 1)
@@ -84,7 +84,7 @@ def _clock_with_load(clock: Clock, load: Load, ticks: int) -> Clock:
 
 
 def times_in(cell: Cell) -> tuple[float, int]:
-    """Return the computing time of a sample at a slowed grid point [s] (inf: too long), and m if every m-th sample is used."""
+    """Return the computing time of a sample on a grid point's processor [s] (inf: too long), and m: every m-th sample is used."""
     (sensor_clock, clock), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
     if clock.outage == (0, N + 1):
         return inf, clock.stride

@@ -42,7 +42,7 @@ def results(plan: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Resul
     n, tail, dt = plan.cell.times.ticks, plan.cell.times.tail, plan.cell.scenario.dt
     has_jumps = bool((plan.problem.jumps < n).any())
     weights = plan.problem.weights
-    costs = isinstance(weights, metrics.Weights) and np.size(weights.Q1) > 0
+    has_cost = isinstance(weights, metrics.Weights) and np.size(weights.Q1) > 0
     for _, outcome in outcomes:
         digits.require(plan, outcome)
         for label, (name, _) in zip(plan.labels, plan.layout.observers, strict=True):
@@ -50,7 +50,7 @@ def results(plan: Plan, outcomes: Iterable[tuple[runner.Job, RunSums]]) -> Resul
             effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None
             tracking, n_sent = outcome.tracking or None, outcome.sent if plan.problem.trigger else None
             parts[label].append(
-                metrics.finalize(*sums, n, tail, dt, has_jumps, tracking, effort, costs, squares, n_sent)
+                metrics.finalize(*sums, n, tail, dt, has_jumps, tracking, effort, has_cost, squares, n_sent)
             )
     return {
         label: {m: np.concatenate([p[m] for p in batches], -1) for m in batches[0]} for label, batches in parts.items()
