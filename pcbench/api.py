@@ -114,7 +114,7 @@ def run(
         if say:
             for sentence in all_observers.sentences(grid.study.excluded):
                 say(sentence)
-        for sentence in [*parse.unstable(grid), *engine_warnings(grid)]:
+        for sentence in [*parse.stability_warnings(grid), *engine_warnings(grid)]:
             (say or warnings.warn)(sentence)
         variants = gain_variants.prepare(grid, out, overwrite, progress)
         if say and variants.study.tuning_sentence:

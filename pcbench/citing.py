@@ -14,7 +14,7 @@ from pcbench.observers.methods import METHODS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Study, observers_of, scenarios_of
-from pcbench.study.labels import base_in, own_in
+from pcbench.study.labels import base_in, plugin_in
 from pcbench.study.parse import outline
 
 FILE = Path(__file__).parent / "references.bib"
@@ -62,7 +62,7 @@ def bibtex(source: str | None = None) -> str:
         keys |= {MODELLING} if solvers else set()
         entries = [r for r in entries if r.key in keys]
         releases = ", ".join(f"{k} {v}" for k, v in record.get("versions", {}).items())
-        custom = ", ".join(label for label in study.custom_observers if own_in(study, label))
+        custom = ", ".join(label for label in study.custom_observers if plugin_in(study, label))
         about = [f"what the study {study.name} used"]
         about += [f"releases: {releases}"] if releases else []
         about += [f"your own, cite it yourself: {custom}"] if custom else []
@@ -80,6 +80,6 @@ def _sources(study: Study) -> list[str]:
     for s in (by_name[name] for name in study.scenarios):
         if s.name not in SCENARIOS and s.plant in PLANTS and s.plant != "lti":
             sources += [p.source for p in SCENARIOS.values() if p.plant == s.plant][:1]
-        labels = [o for o in observers_of(study, s.name) if not own_in(study, o)]
+        labels = [o for o in observers_of(study, s.name) if not plugin_in(study, o)]
         sources += [s.source, *(METHODS[base_in(study, o) or o].source for o in labels)]
     return sources

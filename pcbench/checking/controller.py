@@ -160,7 +160,7 @@ def check_hold(t: Trial) -> str:
 
 def settles(t: Trial) -> str:
     """Check that the eigenvalues of the closed loop with state feedback are within the unit circle."""
-    slowest, where = controller_table.slowest(t.scenario, "settles"), t.scenario.name
+    slowest, where = controller_table.slowest_mode(t.scenario, "settles"), t.scenario.name
     if slowest is None:
         raise SkipCheck("it has no linear law, because it uses commands in transit: write linear(options, context)")
     if sentence := controller_table.warning(t.scenario, "settles"):

@@ -65,9 +65,9 @@ def _where(cell: Cell) -> str:
 def settles(grid: Grid) -> str:
     """Check that every loop is stable: with state feedback the eigenvalues are within the unit circle."""
     scenarios = {(c.scenario.name, str(c.scenario.loop)): c.scenario for c in grid.cells}
-    slowest = {name: controller_table.slowest(s, "settles") for (name, _), s in scenarios.items()}
+    slowest = {name: controller_table.slowest_mode(s, "settles") for (name, _), s in scenarios.items()}
     loops = {name: loop for name, loop in slowest.items() if loop}
-    if sentences := parse.unstable(grid):
+    if sentences := parse.stability_warnings(grid):
         raise UserError(sentences[0])
     if not loops:
         raise SkipCheck("no controller here has a known linear law")

@@ -46,7 +46,7 @@ def unpack(parcel: bytes | Plan) -> Plan:
     if isinstance(parcel, Plan):
         return parcel
     codes, numbers = pickle.loads(parcel)
-    plugins = {(kind, o): registry.of(kind, code, o or kind) for (kind, o), code in codes.items()}
+    plugins = {(kind, o): registry.plugin_of(kind, code, o or kind) for (kind, o), code in codes.items()}
     p: Plan = _Unpickler(io.BytesIO(numbers), plugins).load()
     s = p.cell.scenario.with_fields(user_code={kind: plugin for (kind, o), plugin in plugins.items() if not o})
     cell = p.cell._replace(scenario=s, user_observers={o: plugin for (_, o), plugin in plugins.items() if o})

@@ -24,7 +24,7 @@ COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py
 
 def keep(target: storage.Target, study: Study) -> None:
     """Copy the files of user-defined observers into a target, unless they are there."""
-    for plugin in study._user_observers.values():
+    for plugin in study._plugins.values():
         for name, text in plugin.code.files:
             path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
             if storage.text(target, path) != text:
@@ -85,7 +85,7 @@ def gate(target: storage.Target, table: TomlTable, run: bool) -> Gate:
         is_copy, path = module.startswith(f"{user_code.FOLDER}/"), PurePosixPath(module)
         if run and is_copy:
             code = user_code.Code(path.name, name, _files(target, path), path.parent.name)
-            return registry.of(reference.kind, code, where)
+            return registry.plugin_of(reference.kind, code, where)
         if run:
             return registry.load(reference.kind, reference.reference, where)
         code = user_code.Code(path.name if is_copy else module, name, (), path.parent.name if is_copy else "")

@@ -32,7 +32,7 @@ from pcbench.dataset.seed_ranges import Seeds
 from pcbench.dataset.table_diff import ROUNDING, ZERO, agree, difference
 from pcbench.planning import padding
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.study.grid import Cell, Grid, usable
+from pcbench.study.grid import Cell, Grid, usable_engine
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
 
@@ -188,7 +188,7 @@ def _recompute_blocks(
     work = partial(_verify_task, target, task.Work("", claim.study.name, claim.study.root_seed))
     by_engine: dict[str, list[Block]] = {}
     for b in blocks:
-        by_engine.setdefault(usable(block_files.about_block(target, b)["engine"]), []).append(b)
+        by_engine.setdefault(usable_engine(block_files.about_block(target, b)["engine"]), []).append(b)
     with executors.local_executor() as execute:
         for engine, group in by_engine.items():
             cells = [cell._replace(engine=engine) for cell in claim.cells]

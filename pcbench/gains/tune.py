@@ -26,7 +26,7 @@ from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, merge_options, parse
 from pcbench.study.labels import label_of
-from pcbench.study.options import own_options
+from pcbench.study.options import with_options_of
 from pcbench.study.plugins.references import absolute
 from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import Design, DesignContext, is_certified
@@ -92,7 +92,7 @@ def tune(
         draws = "exact" if exact_objective else f"seeds {training}"
         method = f"{optimizer or 'the optimizer that fits'}, {draws}, {', '.join(only or ['all'])} free"
         current = merge_options(study, cell.scenario, observer)
-        observer_study = own_options(study, observer)
+        observer_study = with_options_of(study, observer)
         origin = f"{current or 'its defaults'}, {digest(observer_study, [cell])[:12]}"
         about = f"{where}: {aim.metric} of {aim.name} by {method}, from {origin}"
         task = f"{about}, {budget} points" + ("" if exact_objective else f", judged on {validation}")

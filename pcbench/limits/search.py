@@ -174,7 +174,7 @@ def axis_of(text: str, s: Scenario, study_values: list[object] | None, where: st
         raise UserError(
             f"--axis: got {name}, whose values are words or lists, expected an axis of numbers such as sampling_period."
         )
-    points: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in study_values or []] or [
+    points: list[Any] = [axes.axis_value(name, value, s, f"{where}: axes.{name}") for value in study_values or []] or [
         _scenario_value(name, s)
     ]
     if not isinstance(points[0], tuple):
@@ -219,7 +219,7 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
         raise UserError(f"--tol: got {tol:g}, expected {least}; leave it out for a twentieth of the value.")
     low, high = ends or ((min(axis.values), max(axis.values)) if len(set(axis.values)) > 1 else _usual(axis, s))
     for end in (low, high):
-        axes.point(axis.name, axis.to_study(end), s, "--range")
+        axes.axis_value(axis.name, axis.to_study(end), s, "--range")
     if not low < high:
         raise UserError(f"--range: got {low:g} {high:g}, expected the lower end first; write --range {high:g} {low:g}.")
     scale = Scale(low, high, tick, tol)

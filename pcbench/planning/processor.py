@@ -84,7 +84,7 @@ def _clock_with_load(clock: Clock, load: Load, ticks: int) -> Clock:
 
 
 def times_in(cell: Cell) -> tuple[float, int]:
-    """Return the computing time of a sample on a grid point's processor [s] (inf: too long), and m: every m-th sample is used."""
+    """Return the computing time of a sample at a grid point [s] (inf: too long), and m: every m-th sample is used."""
     (sensor_clock, clock), N = (times.clocks[0] for times in (times_of(cell.scenario), cell.times)), cell.times.ticks
     if clock.outage == (0, N + 1):
         return inf, clock.stride

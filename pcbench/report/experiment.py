@@ -18,7 +18,7 @@ from pcbench.plots.layout import number
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import RECORD_OF, has_rows
 from pcbench.scenarios.sources import Source, Sources, Table, Wave
-from pcbench.study import LTI, Study, axes, dashes, merge_options, observers_of, scenarios_of
+from pcbench.study import LTI, Study, axes, merge_options, observers_of, scenarios_of, to_underscores
 from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent
@@ -252,7 +252,7 @@ def _options(study: Study, scenario: Scenario, observer: str) -> list[Option]:
     entry = entry_in(study, observer)
     fields = {} if entry.summary == ABSENT else entry.options.model_fields
     labels = [base_in(study, observer) or observer, observer]
-    study_keys = {key for label in labels for key in dashes(study.options.get(label, {}))}
+    study_keys = {key for label in labels for key in to_underscores(study.options.get(label, {}))}
     tuned = study.tuned.options.get(observer, {}) if study.tuned else {}
     options = []
     for name, value in merge_options(study, scenario, observer).items():

@@ -5,8 +5,14 @@ Every error is one sentence: the place, the value, what was expected, and how to
 
 from pcbench.study.builtin import STUDIES
 from pcbench.study.labels import LTI, labels_of, observers_of, scenarios_of, title_of_scenario
-from pcbench.study.options import checked_options, choices_of, dashes, merge_options, options_of, underscore_keys
-from pcbench.study.pydantic_errors import sentence
+from pcbench.study.options import (
+    checked_options,
+    choices_of,
+    merge_options,
+    options_of,
+    to_underscores,
+    underscore_keys,
+)
 from pcbench.study.schema import KEYS, TUNINGS, Choices, Study, Tune, TunedCell, TunedOptions, Values
 
 __all__ = [
@@ -22,13 +28,12 @@ __all__ = [
     "Values",
     "checked_options",
     "choices_of",
-    "dashes",
     "labels_of",
     "merge_options",
     "observers_of",
     "options_of",
     "scenarios_of",
-    "sentence",
     "title_of_scenario",
+    "to_underscores",
     "underscore_keys",
 ]

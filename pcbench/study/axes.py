@@ -17,9 +17,8 @@ from pcbench.simulation.schedule.sampling import PROFILES
 SMALLEST = 1e-12
 LARGEST = 1e12  # limit of any number of a scenario, in SI units
 CHANNELS = fields.names(per="channel")  # one value, or one per output channel
-SENSORS = fields.names(
-    per="sensor"
-)  # one value, or one per output channel; if channels differ, a scenario has one per channel
+# one value, or one per output channel; if channels differ, a scenario has one per channel
+SENSORS = fields.names(per="sensor")
 STATES = fields.names(per="state")  # one value, or one per state
 OUTPUTS = fields.names(per="output")  # one value, or one per output, if there is any
 UNBOUNDED = fields.names(word="inf")
@@ -35,7 +34,7 @@ Plain = str | float | None | list[float | str | None]  # the same value in the t
 LIMITS = {f.name: f.limit for f in fields.FIELDS if f.limit}
 
 
-def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
+def axis_values(name: str, values: Sequence[object], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as in a scenario; raise UserError with the first invalid value."""
     valid = [*axes_of(base), *(f"plant.{p}" for p in parameters_in(base))]
     if name not in valid:
@@ -47,7 +46,7 @@ def axis(name: str, values: Sequence[object], base: Scenario, where: str) -> lis
             f"{where}: got a list for each channel, expected one list for all in an axis; write {name} in a table "
             "[scenarios.NAME], one for each value."
         )
-    out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
+    out = [axis_value(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
     if name == "parameter_drift" and any(out) and not drifts(base):
         raise UserError(
             f"{where}: got {brief_repr(values)} for {base.name}, which has no parameter drift, expected 0; leave it out"
@@ -65,7 +64,7 @@ def axes_of(s: Scenario) -> tuple[str, ...]:
     return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
 
 
-def point(name: str, value: object, base: Scenario, where: str) -> Value:
+def axis_value(name: str, value: object, base: Scenario, where: str) -> Value:
     """Return one value of an axis as in a scenario."""
     if name in ROWS and has_rows(value):
         return _of_each_channel(name, value, base, where)

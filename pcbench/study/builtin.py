@@ -38,15 +38,9 @@ QUESTIONS = {  # of each study, as a question
 }
 PERIODS = (0.5, 1.0, 1.5, 1.7, 1.8)  # s: the loop of `ncs-two-state` is stable below 1.72941
 INTERVALS = (0.01, 0.05, 0.1, 0.2)  # s between two transmissions of `ncs-reactor`
-GAINS = (2.0, 4.0, 8.0)  # 1/s, of the visual servos of `camera-target`
-FIELD = (
-    "eso",
-    "cascade-predictor",
-    "super-twisting",
-    "finite-time",
-    "high-gain-predictor",
-    "lmi-sampled",
-)  # observers of the literature for samples with a constant delay
+SERVO_GAINS = (2.0, 4.0, 8.0)  # 1/s, of the visual servos of `camera-target`
+# observers of the literature for samples with a constant delay
+LITERATURE = ("eso", "cascade-predictor", "super-twisting", "finite-time", "high-gain-predictor", "lmi-sampled")
 WANDER = (0.01, 0.1)  # m, m/s per tick: the process noise of `model-mismatch`
 # the wrong assumption of each scenario; noise sizes are wrong by a factor of 4
 WRONG_ASSUMPTIONS: dict[str, TomlTable] = {
@@ -64,10 +58,8 @@ def _mismatch_scenario(name: str) -> ScenarioTable:
     """Return one scenario of `model-mismatch`: cart/white with a drifting position and one wrong assumption."""
     ratio = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
     options = {
-        "pccebo-loose": {
-            "gain": "riccati",
-            "q": 0.1 / ratio,
-        },  # the usual treatment of an uncertain model: noise on the input
+        # the usual treatment of an uncertain model: noise on the input
+        "pccebo-loose": {"gain": "riccati", "q": 0.1 / ratio},
         "pccebo-riccati": {"gain": "riccati", "q": 0.002 / ratio},
         "pco": {"Kp": -61.0},
         "pi-pco": {"Kp": -61.0, "Ki": 12.2},
@@ -164,11 +156,7 @@ STUDIES = {
         name="model-mismatch",
         scenarios=list(WRONG_ASSUMPTIONS),
         tables={name: _mismatch_scenario(name) for name in WRONG_ASSUMPTIONS},
-        observers=[
-            *("kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo"),
-            *FIELD,
-            "model-only",
-        ],
+        observers=["kf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", *LITERATURE, "model-only"],
         seeds=256,
         options={"scenario": {"random_initial_state": True, "consistency": True}},
     ),
@@ -182,7 +170,7 @@ STUDIES = {
             "kf-drop-delayed",
             "kf-larsen",
             "kf-alexander",
-            *FIELD,
+            *LITERATURE,
             "model-only",
         ],
         seeds=256,
@@ -292,22 +280,15 @@ STUDIES = {
     "digester": Study(
         name="digester",
         scenarios=["digester/multirate"],
-        observers=[
-            "ekf",
-            "kf",
-            "kf-larsen",
-            "kf-shifted-innovation",
-            "kf-ignore-delay",
-            "model-only",
-        ],
+        observers=["ekf", "kf", "kf-larsen", "kf-shifted-innovation", "kf-ignore-delay", "model-only"],
         seeds=32,
         axes={"delay": [[0.0] * 3 + [3600.0 * hours] * 3 for hours in (0, 7, 14, 21)]},
     ),
     "camera-target": Study(
         name="camera-target",
-        scenarios=["following", *(f"servo-{gain:g}" for gain in GAINS)],
+        scenarios=["following", *(f"servo-{gain:g}" for gain in SERVO_GAINS)],
         tables={"following": ScenarioTable(base="camera-target/following")}
-        | {f"servo-{gain:g}": _visual_servo(gain) for gain in GAINS},
+        | {f"servo-{gain:g}": _visual_servo(gain) for gain in SERVO_GAINS},
         seeds=64,
         axes={"delay": [[delay, 0.0] for delay in (0.0, 0.1, 0.2, 0.3)]},
         options={"scenario": {"random_initial_state": True, "consistency": True}},

@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from pcbench.controllers import CONTROLLERS, ControllerContext
-from pcbench.controllers import entry_of as law_of
+from pcbench.controllers import entry_of as controller_of
 from pcbench.controllers.parts.common import Sizes
-from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.dynamics.observability import format_mode
 from pcbench.errors import DesignError, UserError, unknown
 from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario
@@ -75,14 +75,14 @@ def close_loop(s: Scenario, table: TomlTable, where: str, plugins: Mapping[str, 
         )
     network = {name: getattr(config, name) for name in ("actuator_delay", *axes.COMMANDS)}
     for name, value in network.items():
-        axes.point(name, value, s, f"{where}.{name}")
+        axes.axis_value(name, value, s, f"{where}.{name}")
     name, code = (plugin.code.name, {**s.user_code, "controller": plugin}) if plugin else (config.use, s.user_code)
     return s.with_fields(controller=name, control=control, input="", user_code=code, **network)
 
 
 def has_generic_controller(s: Scenario) -> bool:
     """Return whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
-    return bool(s.loop.controller) and law_of(s).check is not None
+    return bool(s.loop.controller) and controller_of(s).check is not None
 
 
 def sizes(s: Scenario, where: str) -> Sizes:
@@ -125,9 +125,9 @@ class SlowestMode(NamedTuple):
     period: float  # [s]
 
 
-def slowest(s: Scenario, where: str) -> SlowestMode | None:
+def slowest_mode(s: Scenario, where: str) -> SlowestMode | None:
     """Return the slowest mode of a scenario's loop with known state; None without a law for any plant or a linear one."""
-    entry = law_of(s) if has_generic_controller(s) else None
+    entry = controller_of(s) if has_generic_controller(s) else None
     if entry is None or entry.linear is None:
         return None
     context, options = controller_context(s), entry.options.model_validate(dict(s.loop.control))
@@ -145,12 +145,11 @@ def slowest(s: Scenario, where: str) -> SlowestMode | None:
 
 def warning(s: Scenario, where: str) -> str:
     """Return a sentence with the unstable eigenvalue of a scenario's loop; empty if the loop is stable."""
-    mode = slowest(s, where)
+    mode = slowest_mode(s, where)
     if mode is None or abs(mode.mode) < 1:
         return ""
     return (
         f"{where}: with commands delayed by {mode.delay:g} s, {s.loop.controller} does not stabilise the plant of "
-        f"{s.name}: the "
-        f"closed loop has the eigenvalue {shown_mode(mode.mode)} over {mode.period:g} s, of size {abs(mode.mode):.6g}, "
-        "expected below 1."
+        f"{s.name}: the closed loop has the eigenvalue {format_mode(mode.mode)} over {mode.period:g} s, of size "
+        f"{abs(mode.mode):.6g}, expected below 1."
     )

@@ -66,18 +66,15 @@ def resolve_delays(table: TomlTable, where: str, folder: Path | None, tick: floa
         raise UserError(
             f"{where}.delay: got the recording {name} without arrivals, expected at least one; use another."
         )
+    got = f"{where}.delay: got the recording {name}"
     if in_order:
         order = np.argsort(sampling_time, kind="stable")
-        got = f"{where}.delay: got the recording {name}"
         return {**table, **in_turn(sampling_time[order], delays[order], tick, duration_of(table), got)}
     order = np.lexsort((sampling_time, channel))
-    return {
-        **table,
-        **law_of(delays[order], channel[order], tick, log.channels, f"{where}.delay: got the recording {name}"),
-    }
+    return {**table, **distribution_of(delays[order], channel[order], tick, log.channels, got)}
 
 
-def law_of(delays: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
+def distribution_of(delays: Ticks, channel: Ints, tick: float, names: tuple[str, ...], got: str) -> TomlTable:
     """Return the distribution of delays [ticks] in sampling order by channel, NaN: lost.
 
     Raises UserError, which begins with `got`, if nothing of a channel arrived.
@@ -92,22 +89,22 @@ def law_of(delays: Ticks, channel: Ints, tick: float, names: tuple[str, ...], go
     limits = [UNLIKE + NOISE * np.sqrt(1 / len(by_channel[0]) + 1 / len(d)) for d in by_channel]
     if any(distance > limit for distance, limit in zip(distances, limits, strict=True)):
         chains = [fit_delay_chain(d, np.zeros(len(d)), tick) for d in by_channel]
-        law: TomlTable = {key: [chain.get(key, []) for chain in chains] for key in max(chains, key=len)}
+        distribution: TomlTable = {key: [chain.get(key, []) for chain in chains] for key in max(chains, key=len)}
     else:
         least = least if len(set(least)) > 1 else np.zeros(len(names))
-        law = fit_delay_chain((delays - least[channel])[arrived], channel[arrived], tick)
+        distribution = fit_delay_chain((delays - least[channel])[arrived], channel[arrived], tick)
         if least.any():
-            law["delay"] = [round(law["delay"] + float(base) * tick, DIGITS) for base in least]
+            distribution["delay"] = [round(distribution["delay"] + float(base) * tick, DIGITS) for base in least]
     mean_loss = float(np.isnan(delays).mean())
     tolerances = [NOISE * np.sqrt(mean_loss * (1 - mean_loss) / (channel == c).sum()) for c in range(len(names))]
     is_uniform = all(abs(p - mean_loss) <= limit for p, limit in zip(loss, tolerances, strict=True))
-    return {**law, "loss": mean_loss if is_uniform else loss}
+    return {**distribution, "loss": mean_loss if is_uniform else loss}
 
 
 def kolmogorov(a: Ticks, b: Ticks) -> float:
     """Return the largest difference of two distribution functions."""
-    at = np.union1d(a, b)
-    below = (np.searchsorted(np.sort(x), at, side="right") / len(x) for x in (a, b))
+    points = np.union1d(a, b)
+    below = (np.searchsorted(np.sort(x), points, side="right") / len(x) for x in (a, b))
     return float(np.abs(np.subtract(*below)).max())
 
 
@@ -127,8 +124,8 @@ def duration_of(table: TomlTable) -> float:
     return float(Lti.model_fields["duration"].default)
 
 
-def in_turn(sampling_time: Ticks, delays: Ticks, tick: float, horizon: float, got: str) -> TomlTable:
-    """Return instants and delays in order, of samples sorted by sampling time [s]; late [ticks], NaN: lost.
+def in_turn(sampling_time: Ticks, delays: Ticks, tick: float, duration: float, got: str) -> TomlTable:
+    """Return instants and delays in order, of samples sorted by sampling time [s]; `delays` [ticks], NaN: lost.
 
     Raises UserError, which begins with `got`, if there are fewer than two instants, or if samples of one tick have different
     delays, as a study has one delay for all.
@@ -144,7 +141,7 @@ def in_turn(sampling_time: Ticks, delays: Ticks, tick: float, horizon: float, go
             f"{got}, whose samples at {t:g} s have different delays, expected one delay per tick; use a recording of one "
             f"channel, or write {FROM} to draw random delays."
         )
-    n = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the pattern repeats from the last one
+    n = min(int((instants * tick <= duration).sum()) + 1, len(instants) - 1)  # the pattern repeats from the last one
     if n < 1 or np.isnan(by_instant[:n]).all():
         raise UserError(f"{got}, which has too few arrivals to be replayed, expected two samples or more; use another.")
     least = np.nanmin(by_instant[:n])
@@ -171,9 +168,9 @@ def fit_delay_chain(delays: Ticks, channel: NDArray[np.generic], tick: float) ->
     frequency = np.bincount(part, minlength=len(values)) / len(part)
     is_next = channel[1:] == channel[:-1]
     repeat_rate = float(np.sum((part[1:] == part[:-1]) & is_next) / max(np.sum(is_next), 1))
-    leave = min((1 - repeat_rate) / len(values), float(frequency.min()))
+    c = min((1 - repeat_rate) / len(values), float(frequency.min()))
     return {
         "delay": delay,
         "delay_values": [round(float((v - values[0]) * tick), DIGITS) for v in values],
-        "delay_self_transition": [min(max(1 - leave / share, 0.0), MAX_STAY) for share in frequency.tolist()],
+        "delay_self_transition": [min(max(1 - c / f, 0.0), MAX_STAY) for f in frequency.tolist()],
     }

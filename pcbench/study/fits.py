@@ -13,9 +13,9 @@ from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Belief, Sampling, Scenario
 from pcbench.scenarios.scenario import LOST, STAMPS, PerChannel, per_channel
-from pcbench.simulation.schedule import sampling
+from pcbench.simulation.schedule.sampling import ages, intervals, latest_of_gamma
 from pcbench.study.axes import AXES, plain
-from pcbench.study.times import OF_A_SENSOR, clocks, number, require_few_samples, sensors, to_ticks
+from pcbench.study.times import SENSOR_FIELDS, clocks, number, require_few_samples, sensors, to_ticks
 
 # axes that make delays vary from sample to sample, except a jitter
 DELAY_AXES = ("delay_values", "delay_sequence", "delay_gamma_mean")
@@ -62,28 +62,26 @@ def _of_continuous(s: Scenario) -> Iterator[str]:
 
 def _of_loop(s: Scenario) -> Iterator[str]:
     """Yield a sentence for each delay that a closed loop cannot have, and for a drift without effect."""
-    measured, actuator_delay = s.sampling, s.loop.actuator_delay
+    sampling, actuator_delay = s.sampling, s.loop.actuator_delay
     # of a loop for any plant the sampler is any: its commands have a delay of their own
-    if s.loop.controller and measured.prefilled:
-        if measured.delay_sequence:
+    if s.loop.controller and sampling.prefilled:
+        if sampling.delay_sequence:
             yield (
                 f"got delay_sequence in {s.name}, whose sampling began before t = 0, expected one delay of the "
-                "samples; leave it "
-                "out, or close the loop of another scenario (see pcbench guide closed-loops)."
+                "samples; leave it out, or close the loop of another scenario (see pcbench guide closed-loops)."
             )
         if any(clock.random for clock in clocks(s)):
             yield (
                 f"got a random schedule in {s.name}, whose sampling began before t = 0, expected one schedule for "
-                "all runs; leave "
-                f"{', '.join(RANDOM_AXES)} and the sampling_pattern 'uniform' out."
+                f"all runs; leave {', '.join(RANDOM_AXES)} and the sampling_pattern 'uniform' out."
             )
-        if INTERVAL in measured.delay:
+        if INTERVAL in sampling.delay:
             yield f"got a delay of one interval in {s.name}, expected seconds: sampling began before t = 0; write a number."
-        if len(set(measured.delay)) > 1:
-            delays = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
+        if len(set(sampling.delay)) > 1:
+            delays = ", ".join(f"{d:g}" for d in sampling.delay if not isinstance(d, str))
             yield f"got delays of {delays} s in {s.name}, expected one for all channels; write one number."
         least = 0.0 if actuator_delay is not None else s.dt / 2
-        yield from _too_short(s, "delay", float(measured.delay[0]), least)
+        yield from _too_short(s, "delay", float(sampling.delay[0]), least)
         if actuator_delay is not None:
             yield from _too_short(s, "actuator_delay", actuator_delay, s.dt / 2)
     if s.truth.parameter_drift and not drifts(s):
@@ -98,12 +96,12 @@ def _too_short(s: Scenario, name: str, mean: float, least: float) -> Iterator[st
     (amplitude, omega), t = s.sampling.delay_sine, (np.arange(to_ticks(s.duration, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(amplitude * np.sin(omega * t)))
     if lowest < least - 1e-9 and (amplitude or mean):
-        need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
+        minimum = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
         yield f"got {name} = {mean:g} s in {s.name}, " + (
             f"which falls to {max(lowest, 0):g} s or less as it varies, expected at least half a tick on the way to the "
-            f"plant, and never below 0; write at least {need:g}."
+            f"plant, and never below 0; write at least {minimum:g}."
             if amplitude
-            else f"expected 0 or at least half a tick; write {need:g}."
+            else f"expected 0 or at least half a tick; write {minimum:g}."
         )
 
 
@@ -114,69 +112,67 @@ def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
         mean, shape = number(sensor.sampling.delay_gamma_mean), number(sensor.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
             continue
-        if not (latest := sampling.latest_of_gamma(mean, shape)) <= REACH * s.duration:
+        if not (latest := latest_of_gamma(mean, shape)) <= REACH * s.duration:
             yield (
                 f"got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, with which one of 10,000 samples "
                 f"has a delay above {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
                 "smaller mean."
             )
     for clock in clocks(s):
-        least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
+        least = intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
             yield (
                 f"got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, expected less "
                 f"than half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
-        youngest, lead = sampling.ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
+        youngest, lead = ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
         if lead > (assumed_delay := youngest + to_ticks(error, s)) and lead:
             yield (
                 f"got timestamps up to {lead * s.dt:g} s after the sampling in {s.name}, whose shortest delay is "
-                f"{assumed_delay * s.dt:g} s, expected "
-                "no arrival before its timestamp; use smaller timestamp errors, a negative timestamp_offset, or a longer delay."
+                f"{assumed_delay * s.dt:g} s, expected no arrival before its timestamp; use smaller timestamp errors, a "
+                "negative timestamp_offset, or a longer delay."
             )
         if youngest * s.dt + error < -1e-9:
             yield (
                 f"got an assumed_delay_error of {error:g} s with a shortest delay of {youngest * s.dt:g} s, "
-                "expected an assumed "
-                f"delay of 0 or more; write at least {-youngest * s.dt:g}."
+                f"expected an assumed delay of 0 or more; write at least {-youngest * s.dt:g}."
             )
 
 
 def _of_sensors(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
     """Yield a sentence for each noise, loss or delay of a sensor that is impossible or has no effect."""
     for sensor in each_sensor:
-        measured, belief = sensor.sampling, sensor.belief
-        noiseless = not any(measured.noise_std)
+        sampling, belief = sensor.sampling, sensor.belief
+        noiseless = not any(sampling.noise_std)
         if belief.assumed_noise_scale != 1 and noiseless and not any(belief.assumed_noise_std):
             yield (
                 f"got assumed_noise_scale = {belief.assumed_noise_scale:g} in {s.name}, whose assumed noise is 0, "
                 "expected a noise_std above 0; write one, or leave it out."
             )
-        if noiseless and np.isfinite(measured.student_t_dof):
+        if noiseless and np.isfinite(sampling.student_t_dof):
             yield (
-                f"got student_t_dof = {measured.student_t_dof:g} in {s.name}, whose samples have no noise, expected a "
+                f"got student_t_dof = {sampling.student_t_dof:g} in {s.name}, whose samples have no noise, expected a "
                 "noise_std above 0; write one, or leave it out."
             )
-        if noiseless and measured.outlier_probability:
+        if noiseless and sampling.outlier_probability:
             yield (
-                f"got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise, "
+                f"got outlier_probability = {sampling.outlier_probability:g} in {s.name}, whose samples have no noise, "
                 "expected a noise_std above 0; write one, or leave it out."
             )
-        values, weights, mean = measured.delay_values, measured.delay_weights, measured.delay_gamma_mean
+        values, weights, mean = sampling.delay_values, sampling.delay_weights, sampling.delay_gamma_mean
         if weights and len(weights) != len(values):
             yield (
                 f"got {len(weights)} values of delay_weights for {len(values)} delay_values, expected one for each; "
-                "write as many "
-                "weights as values."
+                "write as many weights as values."
             )
-        if weights and measured.delay_self_transition:
+        if weights and sampling.delay_self_transition:
             yield (
                 "got delay_weights and delay_self_transition, expected one of them: delays are independent or a Markov chain; "
                 "leave one out."
             )
         if mean and values:
             yield f"got delay_gamma_mean = {mean:g} and delay_values, expected one of them; leave one out."
-        loss, burst = number(measured.loss), number(measured.mean_burst_length)
+        loss, burst = number(sampling.loss), number(sampling.mean_burst_length)
         if not burst or (s.sampling.loss and not loss):  # the mean burst length applies to channels that lose samples
             continue
         got = f"got mean_burst_length = {burst:g} in {s.name} with a loss of {loss:g}, expected "
@@ -257,18 +253,18 @@ def _of_delays(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
 
 def _of_stamps(s: Scenario) -> Iterator[str]:
     """Yield a sentence if timestamps would not be in the order of the samples, or if a clock skew has no effect."""
-    drift, ticks = abs(s.sampling.clock_skew), to_ticks(s.duration, s)
-    if drift and round(1e-6 * drift * ticks) == 0:
+    skew, ticks = abs(s.sampling.clock_skew), to_ticks(s.duration, s)
+    if skew and round(1e-6 * skew * ticks) == 0:
         yield (
             f"got a clock_skew of {s.sampling.clock_skew:g} ppm in {s.name}, which moves no timestamp by half a tick "
             f"({s.dt / 2:g} s) within the duration, so no result would change; write more than {5e5 / ticks:.3g} ppm, use a "
             "shorter tick, or leave it out."
         )
-    if drift > 1e5:
-        yield f"got a clock_skew of {drift:g} ppm, expected at most 100,000; write a smaller one."
+    if skew > 1e5:
+        yield f"got a clock_skew of {skew:g} ppm, expected at most 100,000; write a smaller one."
     for clock in clocks(s):
-        least = sampling.intervals(clock, ticks)[0]
-        if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
+        least = intervals(clock, ticks)[0]
+        if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * skew) - 1:
             yield (
                 f"got a timestamp_jitter of {s.sampling.timestamp_jitter:g} s with intervals down to {least * s.dt:g} s, "
                 "expected less than half the shortest interval, so that timestamps stay in order; write at most "
@@ -278,34 +274,33 @@ def _of_stamps(s: Scenario) -> Iterator[str]:
 
 def _of_trigger(s: Scenario) -> Iterator[str]:
     """Yield a sentence if sensors cannot decide which samples they send, or if a protocol has no effect."""
-    measured = s.sampling
-    axis = "try_once_discard" if measured.try_once_discard else "send_threshold"
-    if not measured.try_once_discard and not any(measured.send_threshold):
+    sampling = s.sampling
+    axis = "try_once_discard" if sampling.try_once_discard else "send_threshold"
+    if not sampling.try_once_discard and not any(sampling.send_threshold):
         return
-    if measured.prefilled:
+    if sampling.prefilled:
         yield (
             f"got {axis} in {s.name}, whose sampling began before t = 0, expected samples from t = 0 on; leave it out, or "
             "close the loop of another scenario."
         )
-    if np.isfinite(measured.processor_speed):
+    if np.isfinite(sampling.processor_speed):
         yield f"got {axis} with a processor_speed, expected one of them; leave one out."
     sensor_clocks = clocks(s)
     is_random = any(c.jitter or c.profile == "uniform" for c in sensor_clocks)
-    if measured.try_once_discard and (
+    if sampling.try_once_discard and (
         len({(c.period, c.phase, c.profile) for c in sensor_clocks}) > 1 or is_random * len(sensor_clocks) > 1
     ):
         yield (
             f"got try_once_discard = 1 in {s.name}, whose outputs are sampled at different times, expected one "
             "sampling_period and one sampling_phase, and delays that are equal if sampling times are random; make them equal."
         )
-    if measured.try_once_discard and any(measured.send_threshold) and not all(measured.send_threshold):
-        thresholds = plain("send_threshold", measured.send_threshold)
+    if sampling.try_once_discard and any(sampling.send_threshold) and not all(sampling.send_threshold):
+        thresholds = plain("send_threshold", sampling.send_threshold)
         yield (
             f"got try_once_discard = 1 with the send_threshold {thresholds}, expected all thresholds above 0, or none: changes "
-            "are "
-            "compared in units of them; write the others."
+            "are compared in units of them; write the others."
         )
-    if measured.try_once_discard and len(measured.delay) == 1:
+    if sampling.try_once_discard and len(sampling.delay) == 1:
         yield f"got try_once_discard = 1 in {s.name}, which has one output, expected two or more; leave it out."
 
 
@@ -336,11 +331,11 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
     """Yield what an observer does not support, what it needs instead, and which observer supports it."""
     if nonlinear(s) and not entry.nonlinear:
         residual = plant_of(s).residual
-        moves = np.ones(0) if residual is None else residual(numbers_of(s))
-        if moves.any():
-            i = int(np.argmax(np.abs(moves)))
+        change = np.ones(0) if residual is None else residual(numbers_of(s))
+        if change.any():
+            i = int(np.argmax(np.abs(change)))
             yield (
-                f"an operating point that is no equilibrium ({states_of(s)[i][0]} changes by itself, by {moves[i]:.3g}), "
+                f"an operating point that is no equilibrium ({states_of(s)[i][0]} changes by itself, by {change[i]:.3g}), "
                 f"expected an equilibrium, which a linear model needs; move the point, leave {label} out, or use ekf."
             )
         if residual is None:
@@ -357,36 +352,33 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
         alternatives = ", ".join(name for name, spec in OBSERVERS.items() if spec.observer.field)
         yield (
             f"continuous measurements, expected samples: it has no continuous-time form; leave {label} out, use one "
-            f"of {alternatives}, or "
-            "use a scenario with samples."
+            f"of {alternatives}, or use a scenario with samples."
         )
-    measured = s.sampling
-    regular = measured.sampling_pattern == "periodic"
-    is_interval = INTERVAL in measured.delay and not (regular and not measured.sampling_jitter)
+    sampling = s.sampling
+    is_periodic = sampling.sampling_pattern == "periodic"
+    is_interval = INTERVAL in sampling.delay and not (is_periodic and not sampling.sampling_jitter)
     delay_axes = [name for name in (*DELAY_AXES, *TIMESTAMP_AXES) if s.value(name)]
-    if entry.takes == "one constant delay" and (measured.delay_jitter or delay_axes or is_interval):
+    if entry.takes == "one constant delay" and (sampling.delay_jitter or delay_axes or is_interval):
         varies = ", ".join(delay_axes) or "a delay of one interval that varies"
         yield (
-            f"{f'a delay_jitter of {_list_values(measured.delay_jitter)} s' if measured.delay_jitter else varies}, expected "
-            "one "
-            f"constant delay: it does not use the age of a sample; leave {label} out, or use pccebo, pco or kf."
+            f"{f'a delay_jitter of {_list_values(sampling.delay_jitter)} s' if sampling.delay_jitter else varies}, expected "
+            f"one constant delay: it does not use the age of a sample; leave {label} out, or use pccebo, pco or kf."
         )
     if entry.takes == "constant delays":
         shifts = ("delay_jitter", "sampling_jitter", "sampling_phase")
         variations = [f"a {name} of {_list_values(v)} s" for name in shifts if np.any(v := s.value(name))]
         variations += delay_axes
         variations += (
-            [] if regular else [f"the sampling_pattern {plain('sampling_pattern', measured.sampling_pattern)}"]
+            [] if is_periodic else [f"the sampling_pattern {plain('sampling_pattern', sampling.sampling_pattern)}"]
         )
         if variations:
             yield (
                 f"{', '.join(variations)}, expected regular samples with constant delays, the first at t = 0; leave "
-                f"{label} out, or "
-                "use kf."
+                f"{label} out, or use kf."
             )
-    if entry.observer.uses_silence and any(measured.send_threshold):
+    if entry.observer.uses_silence and any(sampling.send_threshold):
         causes = ("loss", "outage_duration", "delay_jitter", "sampling_jitter", *DELAY_AXES)
-        silences = [name for name in causes if np.any(s.value(name))] + ([] if regular else ["sampling_pattern"])
+        silences = [name for name in causes if np.any(s.value(name))] + ([] if is_periodic else ["sampling_pattern"])
         if silences:
             yield (
                 f"{', '.join(silences)} with a send_threshold, expected a network that delivers every sample in time, so that "
@@ -398,7 +390,7 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             f"timestamp; leave {label} out, or use kf."
         )
     if entry.takes == "one clock" and len(clocks(s)) > 1:
-        values = {name: s.value(name) for name in OF_A_SENSOR}
+        values = {name: s.value(name) for name in SENSOR_FIELDS}
         differences = "; ".join(
             f"{k} = {plain(k, v)}" for k, v in values.items() if isinstance(v, tuple) and len(set(v)) > 1
         )

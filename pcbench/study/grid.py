@@ -16,7 +16,7 @@ from pcbench.scenarios import Scenario
 from pcbench.study import Choices, Study, choices_of, fits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
-from pcbench.study.labels import own_in
+from pcbench.study.labels import plugin_in
 from pcbench.study.lti_plant import require_plant
 from pcbench.study.options import checked_options
 from pcbench.study.plugins.user_code import UserPlugin
@@ -93,23 +93,22 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     If each axis varies by itself: first values of all axes, then each other value of each axis.
     """
     base, where = scenarios_of(study)[scenario], where or study.name
-    axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
+    axes = {name: axis.axis_values(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     lengths = [len(values) for values in axes.values()]
     n_cells = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
     require_few_cells(n_cells, to_ticks(base.duration, base), where)
     choices, out, as_lists, its_axes = choices_of(study), [], axes_with_lists(study), axes_of(base)
     commands = sorted(command_columns(study) - set(its_axes))
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
-    plugins = {o: plugin for o in options if (plugin := own_in(study, o))}
+    plugins = {o: plugin for o in options if (plugin := plugin_in(study, o))}
     digests = {o: options_digest(m, plugins.get(o)) for o, m in options.items()}
     names, tuned = _tuned_by_point(study, base, where)
     for index, point in enumerate(points(study.vary, list(axes.values()))):
         axis_values = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in axis_values.items() if k in its_axes}
         if "process_std" in axis_values and base.belief.assumed_process_std == base.truth.process_std:
-            fields["assumed_process_std"] = axis_values[
-                "process_std"
-            ]  # designs assume the true process noise, as in the scenario
+            # designs assume the true process noise, as in the scenario
+            fields["assumed_process_std"] = axis_values["process_std"]
         s = base.with_fields(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -147,7 +146,7 @@ def _tuned_by_point(study: Study, base: Scenario, where: str) -> tuple[list[str]
         place = f"{where}: tuned.cells[{i}].cell"
         if list(entry.cell) != names:
             raise UserError(f"{place}: got {', '.join(entry.cell)}, expected {', '.join(names)}, as the first has.")
-        point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in entry.cell.items())
+        point = tuple(axis.axis_values(name, [v], base, f"{place}.{name}")[0] for name, v in entry.cell.items())
         out[point] = entry.options
     return names, out
 
@@ -251,9 +250,9 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
     """
     study, cells = grid
     if engine is None:
-        name = usable(study.engine or "steps")
+        name = usable_engine(study.engine or "steps")
     else:
-        name = engine if study.engine is None or usable(study.engine) == engine else study.engine
+        name = engine if study.engine is None or usable_engine(study.engine) == engine else study.engine
     return Grid(
         study.model_copy(update={"engine": name}), [c._replace(engine=engine_of(c.scenario, name)) for c in cells]
     )
@@ -261,10 +260,10 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
 
 def engine_of(s: Scenario, engine: str) -> str:
     """Return the engine of a scenario: the definition if sensors decide, as other engines fix arrivals before a run."""
-    return "definition" if s.sampling.sensors_decide else usable(engine)
+    return "definition" if s.sampling.sensors_decide else usable_engine(engine)
 
 
-def usable(engine: str) -> str:
+def usable_engine(engine: str) -> str:
     """Return the engine, or the definition if the engine does not support the installed jax."""
     from pcbench.engine import jaxpr_compat  # imports jax
 
@@ -278,8 +277,7 @@ def engine_warnings(grid: Grid) -> list[str]:
         return []
     return [
         f"jax {version('jax')} is newer than the versions that pcbench's fast engines support: the engine "
-        "`definition` computes "
-        "the runs, more slowly and with the same numbers to 1e-11; install an earlier jax for speed."
+        "`definition` computes the runs, more slowly and with the same numbers to 1e-11; install an earlier jax for speed."
     ]
 
 

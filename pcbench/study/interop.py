@@ -98,25 +98,24 @@ def to_control(study: Study) -> "control.StateSpace":
 def _state_space(system: object) -> TomlTable:
     """Return the [lti] table's matrices of a system."""
     try:
-        form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
+        ss = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
     except (NotImplementedError, ImportError, ValueError, ArithmeticError) as error:  # errors of the library
         raise UserError(
             f"pcbench.lti: got {type(system).__name__}, which its library cannot convert "
-            f"('{first_sentence(error)}'), expected a "
-            "state-space system; give its A, B, C and D."
+            f"('{first_sentence(error)}'), expected a state-space system; give its A, B, C and D."
         ) from error
-    if form is None:
+    if ss is None:
         raise UserError(
             f"pcbench.lti: got {type(system).__name__}, expected a state-space system of scipy.signal or python-control; "
             "convert it with control.ss(system)."
         )
-    dt: float | None = getattr(form, "dt", None)
-    if dt is True or (dt is None and hasattr(form, "state_labels")):
+    dt: float | None = getattr(ss, "dt", None)
+    if dt is True or (dt is None and hasattr(ss, "state_labels")):
         raise UserError(
             f"pcbench.lti: got a system with dt = {dt}, whose time base is unknown, expected seconds; give it dt in seconds"
             + (", or 0 for a continuous one." if dt is None else ".")
         )
-    matrices = {key: plain(np.asarray(getattr(form, key), float)) for key in "ABCD"}
+    matrices = {key: plain(np.asarray(getattr(ss, key), float)) for key in "ABCD"}
     return matrices | ({"dt": float(dt)} if dt else {})
 
 

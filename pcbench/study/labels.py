@@ -27,27 +27,25 @@ LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
 
 def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
-    """Return a raw study whose observers are labels; its table `use` has those that are user-defined.
+    """Return a raw study whose observers are labels; its table `custom_observers` has those that are user-defined.
 
     Raises UserError for an invalid label, or one of two observers.
     """
     observers, options = raw.get("observers"), raw.get("options")
-    use = dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {}
+    references = dict(raw["custom_observers"]) if isinstance(raw.get("custom_observers"), dict) else {}
     if isinstance(observers, dict):
-        raw = raw | {"observers": list(observers), "options": _options(observers, options, use, where)}
+        raw = raw | {"observers": list(observers), "options": _options(observers, options, references, where)}
     elif isinstance(observers, list):
-        raw = raw | {"observers": _labels(observers, use, f"{where}: observers")}
+        raw = raw | {"observers": _labels(observers, references, f"{where}: observers")}
 
     def with_labels(table: TomlTable, place: str) -> TomlTable:
         names = table.get("observers")
-        return (
-            table | {"observers": _labels(names, use, f"{where}: {place}.observers")}
-            if isinstance(names, list)
-            else table
-        )
+        if not isinstance(names, list):
+            return table
+        return table | {"observers": _labels(names, references, f"{where}: {place}.observers")}
 
     raw = each_table(raw, with_labels)
-    return raw | {"custom_observers": use} if use else raw
+    return raw | {"custom_observers": references} if references else raw
 
 
 def each_table(raw: TomlTable, change: Callable[[TomlTable, str], TomlTable]) -> TomlTable:
@@ -64,8 +62,8 @@ def label_of(name: str) -> str:
     return name.rpartition(":")[2] if user_code.is_reference(name) else name
 
 
-def _labels(names: list[object], use: dict[str, str], where: str) -> list[object]:
-    """Return the labels of a list of names; references of user-defined ones are added to `use`."""
+def _labels(names: list[object], references: dict[str, str], where: str) -> list[object]:
+    """Return the labels of a list of names; references of user-defined ones are added to `references`."""
     out: list[object] = []
     for name in names:
         if not isinstance(name, str):
@@ -74,21 +72,21 @@ def _labels(names: list[object], use: dict[str, str], where: str) -> list[object
         label = label_of(name)
         if user_code.is_reference(name):
             user_code.split(name, where)
-            _free(label, name, where)
-            if use.get(label, name) != name or label in out:
+            _require_free(label, name, where)
+            if references.get(label, name) != name or label in out:
                 raise UserError(
                     f"{where}: got '{short(name)}' and another observer with the label '{label}', expected different "
                     f'labels; write [observers.LABEL] use = "{short(name)}".'
                 )
-            use[label] = name
-        elif label not in use and base_of(label) is None and (plugin := find_plugins("observer").get(label)):
-            use[label] = plugin.reference
+            references[label] = name
+        elif label not in references and base_of(label) is None and (plugin := find_plugins("observer").get(label)):
+            references[label] = plugin.reference
         out.append(label)
     return out
 
 
-def _options(tables: TomlTable, options: object, use: dict[str, str], where: str) -> TomlTable:
-    """Return the options of a study whose observers are tables; their references are added to `use`."""
+def _options(tables: TomlTable, options: object, references: dict[str, str], where: str) -> TomlTable:
+    """Return the options of a study whose observers are tables; those that are user-defined are added to `references`."""
     out = dict(options) if isinstance(options, dict) else {}
     for label, table in tables.items():
         place = f"{where}: observers.{short(label)}"
@@ -102,8 +100,8 @@ def _options(tables: TomlTable, options: object, use: dict[str, str], where: str
                 raise UserError(f'{place}.use: got {brief_repr(text)}, expected MODULE:NAME such as "mine.py:nudge".')
             if user_code.is_reference(text):
                 user_code.split(text, f"{place}.use")
-                _free(label, text, where)
-                use[label] = text
+                _require_free(label, text, where)
+                references[label] = text
             elif text in OBSERVERS and label != text and not label.startswith(text + "-"):
                 raise UserError(
                     f"{place}.use: got '{text}', expected a label that begins with it; write [observers.{text}-{label}]."
@@ -115,7 +113,7 @@ def _options(tables: TomlTable, options: object, use: dict[str, str], where: str
     return out
 
 
-def _free(label: str, name: str, where: str) -> None:
+def _require_free(label: str, name: str, where: str) -> None:
     """Raise UserError if a label is invalid or a built-in name."""
     if not LABEL.fullmatch(label):
         raise UserError(
@@ -147,15 +145,14 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
         scenarios = scenarios | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
     if study.scenario is not None:
         name = study.scenario.name or study.name
-        scenarios = scenarios | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._user_observers)}
+        scenarios = scenarios | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._plugins)}
     for name, table in (study.tables or {}).items():
-        scenarios = scenarios | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._user_observers)}
+        scenarios = scenarios | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._plugins)}
     if study.controller is None:
         return scenarios
     names = [name for name in study.scenarios if name in scenarios]
     return scenarios | {
-        name: close_loop(scenarios[name], study.controller, f"{where}: controller", study._user_observers)
-        for name in names
+        name: close_loop(scenarios[name], study.controller, f"{where}: controller", study._plugins) for name in names
     }
 
 
@@ -172,14 +169,14 @@ def base_in(study: Study, label: str) -> str | None:
     return max(names, key=len) if names and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
-def own_in(study: Study, label: str) -> UserPlugin | None:
+def plugin_in(study: Study, label: str) -> UserPlugin | None:
     """Return the user-defined observer of a label in a study; None if it is built-in."""
-    return study._user_observers.get(base_in(study, label) or label)
+    return study._plugins.get(base_in(study, label) or label)
 
 
 def entry_in(study: Study, label: str) -> ObserverSpec:
     """Return the entry of an observer's label in a study; raise KeyError if there is none."""
-    plugin = own_in(study, label)
+    plugin = plugin_in(study, label)
     return plugin.entry if plugin else OBSERVERS[base_in(study, label) or label]
 
 

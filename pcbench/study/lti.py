@@ -55,8 +55,8 @@ def process_noise(
         return ()
     if not np.any(Q - np.diag(np.diag(Q))):
         return tuple(np.sqrt(np.diag(Q)).tolist())
-    size, V = np.linalg.eigh(Q)
-    return tuple(tuple(row) for row in ((V * np.sqrt(np.maximum(size, 0.0))) @ V.T).tolist())
+    eigenvalues, V = np.linalg.eigh(Q)
+    return tuple(tuple(row) for row in ((V * np.sqrt(np.maximum(eigenvalues, 0.0))) @ V.T).tolist())
 
 
 def covariance(entries: float | list[float] | list[list[float]], n: int, where: str) -> NDArray[np.float64]:
@@ -67,8 +67,7 @@ def covariance(entries: float | list[float] | list[list[float]], n: int, where: 
     if len(entries) != n or not (flat or all(isinstance(row, list) and len(row) == n for row in entries)):
         raise UserError(
             f"{where}: got {brief_repr(entries)}, expected a number, {n} numbers, or {n} x {n}: one noise "
-            "for each column "
-            "of G."
+            "for each column of G."
         )
     Q: NDArray[np.float64] = np.diag(np.array(entries, float)) if flat else np.array(entries, float)
     size = max(float(np.abs(Q).max()), 1e-300)
@@ -89,7 +88,7 @@ def covariance(entries: float | list[float] | list[list[float]], n: int, where: 
 class Lti(Experiment, LtiTable):
     """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs.
 
-    x(0) is ones and f a sine if nothing else is said.
+    By default, x(0) is ones and f is a sine.
     """
 
     def numbers(self, where: str) -> Numbers:

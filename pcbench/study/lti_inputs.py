@@ -104,9 +104,9 @@ def _wave(table: TomlTable, where: str) -> Wave:
         raise UserError(f"{where}.signal is missing; write signal = one of {', '.join(SHAPES)}.")
     if shape not in SHAPES:
         raise unknown(f"{where}.signal", "shape of a signal", str(shape), SHAPES)
-    measured_in = table.get("unit", "")
-    if not isinstance(measured_in, str):
-        raise UserError(f"{where}.unit: got {brief_repr(measured_in)}, expected a text such as 'V'.")
+    unit_text = table.get("unit", "")
+    if not isinstance(unit_text, str):
+        raise UserError(f"{where}.unit: got {brief_repr(unit_text)}, expected a text such as 'V'.")
     numbers = {
         key: axes.number(table[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
         for key in ("amplitude", "frequency", "offset", "phase")
@@ -116,7 +116,7 @@ def _wave(table: TomlTable, where: str) -> Wave:
         raise UserError(f"{where}: got a {shape} without a frequency, expected one; write frequency = ..., in Hz.")
     if shape not in PERIODIC and (numbers.get("frequency") or numbers.get("phase")):
         raise UserError(f"{where}: got a {shape} with a frequency or a phase, expected neither; leave them out.")
-    return Wave(shape, **numbers, unit=measured_in and unit(measured_in, f"{where}.unit"))
+    return Wave(shape, **numbers, unit=unit_text and unit(unit_text, f"{where}.unit"))
 
 
 def _table(entries: list[object], n_inputs: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
@@ -139,8 +139,7 @@ def _table(entries: list[object], n_inputs: int, ticks: tuple[int, float], kind:
         if not isinstance(row, list) or len(row) not in (2, n_inputs + 1) or len(row) != len(rows[0]):
             raise UserError(
                 f"{where}[{i}]: got {brief_repr(row)}, expected a row of t and {'1' if n_inputs == 1 else f'1 or {n_inputs}'} "
-                "numbers, the "
-                f"same in each: one for all, or one for each of {n_inputs} {kind}."
+                f"numbers, the same in each: one for all, or one for each of {n_inputs} {kind}."
             )
     numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(rows)]
     for i in range(1, len(numbers)):

@@ -26,11 +26,11 @@ def merge_options(study: Study, scenario: Scenario, observer: str) -> TomlTable:
     """Return the options as given: the study's override the scenario's, and a label's override its observer's."""
     out: TomlTable = {}
     for label in dict.fromkeys([base_in(study, observer) or observer, observer]):
-        out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
+        out |= to_underscores(dict(scenario.options.get(label, {}))) | to_underscores(study.options.get(label, {}))
     return out
 
 
-def own_options(study: Study, observer: str) -> Study:
+def with_options_of(study: Study, observer: str) -> Study:
     """Return a study with only the options of its scenario and of one observer."""
     names = ("scenario", observer, base_in(study, observer) or observer)
     return study.model_copy(
@@ -40,7 +40,7 @@ def own_options(study: Study, observer: str) -> Study:
 
 def choices_of(study: Study) -> Choices:
     """Return the study's `[options.scenario]`."""
-    return Choices.model_validate(dashes(study.options.get("scenario", {})))
+    return Choices.model_validate(to_underscores(study.options.get("scenario", {})))
 
 
 def checked_options(study: Study, name: str, table: TomlTable, where: str) -> BaseModel:
@@ -55,7 +55,7 @@ def checked_options(study: Study, name: str, table: TomlTable, where: str) -> Ba
             where, "observer with options (or 'scenario')", name, [*study.custom_observers, *OBSERVERS, "scenario"]
         )
     model = Choices if name == "scenario" else entry_in(study, name).options
-    for key in dashes(table) if model.model_config.get("extra") != "allow" else ():
+    for key in to_underscores(table) if model.model_config.get("extra") != "allow" else ():
         if model is Choices and key == "drift_sign":
             raise UserError(
                 f"{where}: got drift_sign, expected it as a parameter of the cart; write axes.plant.drift_sign."
@@ -65,7 +65,7 @@ def checked_options(study: Study, name: str, table: TomlTable, where: str) -> Ba
     underscore_keys(table, where)
     for key, value in table.items():
         _require_sensible_size(value, f"{where}.{key}")
-    options = validate_options(model, dashes(table), where)
+    options = validate_options(model, to_underscores(table), where)
     if not isinstance(options, Choices):
         return options
     names = {"input": ("input", SIGNALS), "unknown_input": ("input", SINGLE), "path": ("path", PATHS)}
@@ -84,14 +84,14 @@ def checked_options(study: Study, name: str, table: TomlTable, where: str) -> Ba
     return options
 
 
-def dashes(table: TomlTable) -> TomlTable:
+def to_underscores(table: TomlTable) -> TomlTable:
     """Return a table with _ for - in its keys."""
     return {key.replace("-", "_"): value for key, value in table.items()}
 
 
-def underscore_keys(table: TomlTable, where: str, but: str = "\n") -> TomlTable:
-    """Return a table with _ for - in its keys, except those that begin with `but`; raise UserError for a key given twice."""
-    out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in table.items()}
+def underscore_keys(table: TomlTable, where: str, excluded_prefix: str = "\n") -> TomlTable:
+    """Return a table with _ for - in its keys, except those that begin with a prefix; raise UserError for a key given twice."""
+    out = {key if key.startswith(excluded_prefix) else key.replace("-", "_"): value for key, value in table.items()}
     if len(out) < len(table):
         duplicate = next(key for key in table if "-" in key and key.replace("-", "_") in table)
         raise UserError(f"{where}: got {duplicate} twice, with - and with _, expected it once; remove one.")

@@ -19,7 +19,6 @@ from pcbench.study import (
     fits,
     labels_of,
     scenarios_of,
-    sentence,
     times,
 )
 from pcbench.study.grid import Cell, Grid, cells
@@ -29,6 +28,7 @@ from pcbench.study.plugins import registry
 from pcbench.study.plugins.references import Gate, PluginReference, references_in
 from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.plugins.user_plants import plain
+from pcbench.study.pydantic_errors import user_error
 from pcbench.toml_text import TomlTable
 
 ALL = "all"  # all observers that can run
@@ -43,7 +43,7 @@ FROM_HERE = Gate(_load_plugin, files=True)  # for a study given by the user
 
 
 def load(source: str, overrides: list[str] | None = None) -> Study:
-    """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
+    """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides applied."""
     return parse(raw_of(source, overrides or [], FROM_HERE), source)
 
 
@@ -65,7 +65,7 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
-        raise sentence(where, error, KEYS) from None
+        raise user_error(where, error, KEYS) from None
     by_place = {"scenario": study.scenario} if study.scenario else {}
     by_place |= {f"scenarios.{name}": t for name, t in (study.tables or {}).items()}
     labels = {o for t in by_place.values() for o in (*(t.observers or ()), *(t.options or ()))}
@@ -76,7 +76,7 @@ def build_study(raw: TomlTable, where: str, gate: Gate) -> Study:
         )
     for reference in references_in(raw):
         place = f"{where}: {reference.key if reference.kind == 'observer' else reference.kind}"
-        study._user_observers[reference.key] = gate.code(reference, place)
+        study._plugins[reference.key] = gate.code(reference, place)
     scenarios = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in scenarios:
@@ -114,18 +114,18 @@ def grid(raw: TomlTable, where: str, gate: Gate) -> Grid:
     """Return the study that `raw` describes with its grid; raise UserError with the place of the error."""
     study, all_cells = build_study(raw, where, gate), []
     for name in study.scenarios:
-        points = cells(study, name, where)
-        for observer in points[0].options:
-            for cell in points:
+        scenario_cells = cells(study, name, where)
+        for observer in scenario_cells[0].options:
+            for cell in scenario_cells:
                 fits.works_on(observer, cell.entry(observer), cell.scenario, where)
-        all_cells += points
+        all_cells += scenario_cells
     return Grid(study, all_cells)
 
 
-def unstable(grid: Grid) -> list[str]:
+def stability_warnings(grid: Grid) -> list[str]:
     """Return a sentence for every loop that its controller does not stabilise; raise DesignError if a law has no gain."""
     scenarios = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in grid.cells}
-    return [sentence for s in scenarios.values() if (sentence := controller_table.warning(s, grid.study.name))]
+    return [warning for s in scenarios.values() if (warning := controller_table.warning(s, grid.study.name))]
 
 
 def parse(raw: TomlTable, where: str) -> Study:
@@ -147,12 +147,13 @@ def apply_changes(study: StudyLike, changes: TomlTable, overrides: list[str]) ->
 
 def one_cell(source: StudyLike, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
     """Return a study of these observers with its one grid point; raise UserError if it has more."""
-    study, cells = grid_of(source, {"observers": observers}, overrides)
-    if len(cells) > 1:
+    study, all_cells = grid_of(source, {"observers": observers}, overrides)
+    if len(all_cells) > 1:
         raise UserError(
-            f"{study.name}: got {len(cells)} grid points, expected one here; name one scenario, and give each axis one value."
+            f"{study.name}: got {len(all_cells)} grid points, expected one here; name one scenario, and give each axis one "
+            "value."
         )
-    return study, cells[0]
+    return study, all_cells[0]
 
 
 def scenario_of(source: str, overrides: list[str] | None = None) -> Scenario:

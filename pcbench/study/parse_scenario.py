@@ -51,7 +51,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, plugins: Mapping[st
     s = _base(table, values, where)._replace(name=name)
     s = s.with_fields(**{key: values[key] for key in ("dt", "duration") if key in values})
     times.ticks_of(s.duration, s.dt, where)
-    s = _of_plant(s, values, where, plugins)
+    s = _with_plant(s, values, where, plugins)
     s = experiment_on(s, values, where, plugins, is_new=table.base is None)
     if s.sampling.continuous and (entry_of(s).plant.field is None or entry_of(s).nominal(numbers_of(s)).discrete):
         raise UserError(
@@ -97,7 +97,7 @@ def experiment_on(
         s = s.with_fields(noise_correlation=tuple(map(tuple, values["noise_correlation"])))
     if (limit := values.get("divergence_threshold")) is not None:
         s = s.with_fields(divergence_threshold=tuple(limit) if isinstance(limit, list) else limit)
-    s = _driven(s, values, model.B.shape[1], where, plugins)
+    s = _with_inputs(s, values, model.B.shape[1], where, plugins)
     _require_fit(s, sizes, where)
     return s
 
@@ -106,11 +106,11 @@ def with_defaults(s: Scenario, n: int, unknowns: int, errors: int = 0) -> Scenar
     """Return a scenario with defaults for its n states, its unknown inputs and its errors, except x(0)."""
     x0, xhat0 = s.truth.x0, s.belief.xhat0 or (0.0,) * n
     distance = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
-    prior, size = s.belief.prior_std or distance, s.belief.unknown_std or (1.0,) * unknowns
-    extra = (*size, *(1.0,) * errors)
+    prior, unknown_std = s.belief.prior_std or distance, s.belief.unknown_std or (1.0,) * unknowns
+    extra = (*unknown_std, *(1.0,) * errors)
     defaults = zip((*prior, *extra), (*distance, *extra), strict=False)
     band = s.scoring.settle_band or tuple(0.05 * (p or default) for p, default in defaults)
-    return s.with_fields(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band)
+    return s.with_fields(xhat0=xhat0, prior_std=prior, unknown_std=unknown_std, settle_band=band)
 
 
 def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
@@ -142,7 +142,7 @@ def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
     )
 
 
-def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
+def _with_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
     """Return the scenario with its plant, the plant's parameters and its signals."""
     valid = [name for name in PLANTS if name != "lti"]
     plant = values.get("plant", s.plant)
@@ -165,7 +165,7 @@ def _of_plant(s: Scenario, values: TomlTable, where: str, plugins: Mapping[str, 
                 raise unknown(f"{where}.{table}", f"parameter of plant {s.plant}", name, valid_names)
             default = getattr(entry.numbers, name)
             if type(default) is float:
-                value = axes.point(f"plant.{name}", value, s, f"{where}.{table}.{name}")
+                value = axes.axis_value(f"plant.{name}", value, s, f"{where}.{table}.{name}")
             elif type(value) is not type(default):
                 raise UserError(
                     f"{where}.{table}.{name}: got {brief_repr(value)}, expected a value such as {brief_repr(default)}."
@@ -191,13 +191,13 @@ def _resolve_axis_fields(s: Scenario, values: TomlTable, q: int, where: str) -> 
                 key, axes.plain(key, s.value(key), as_list=True) if key not in axes.LISTS else s.value(key)
             )
             entry = INTERVAL if entry == [None] * q else entry
-            s = s.with_fields(**{key: axes.point(key, entry, s, f"{where}.{key}")})
+            s = s.with_fields(**{key: axes.axis_value(key, entry, s, f"{where}.{key}")})
     return s
 
 
-def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
+def _with_inputs(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping[str, UserPlugin]) -> Scenario:
     """Return the scenario with its input, its controller and its unknown input."""
-    entry, horizon = entry_of(s), (times.to_ticks(s.duration, s), s.dt)
+    entry, ticks = entry_of(s), (times.to_ticks(s.duration, s), s.dt)
     loop = {key: values[key] for key in ("input", "controller", "control") if key in values}
     if plugin := plugins.get(loop.get("controller", "")):
         loop["controller"] = plugin.code.name
@@ -215,7 +215,7 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
     if s.loop.controller:
         _require_controller(s, entry, where)
     elif not isinstance(s.loop.input, tuple):  # from the base
-        signals = sources(s.loop.input, m, SIGNALS, horizon, "inputs", f"{where}.input")
+        signals = sources(s.loop.input, m, SIGNALS, ticks, "inputs", f"{where}.input")
         s = s if isinstance(s.loop.input, str) else s.with_fields(input=signals)
     for key in axes.COMMANDS:
         if value := values.get(key):
@@ -224,7 +224,7 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
                     f"{where}.{key}: got {brief_repr(value)} where no controller for any plant gives commands, expected none; "
                     "leave it out."
                 )
-            s = s.with_fields(**{key: axes.point(key, value, s, f"{where}.{key}")})
+            s = s.with_fields(**{key: axes.axis_value(key, value, s, f"{where}.{key}")})
     unknown_input = values.get("unknown_input")
     if unknown_input == "":
         return s.with_fields(unknown_input="")
@@ -235,7 +235,7 @@ def _driven(s: Scenario, values: TomlTable, m: int, where: str, plugins: Mapping
                 f"{place}: got {brief_repr(unknown_input)} for {s.plant}, expected none: it has no unknown input; leave it out."
             )
         n_unknowns = len(estimated_of(s)) - len(states_of(s))
-        signals = sources(unknown_input, n_unknowns, SINGLE, horizon, "unknown inputs", place)
+        signals = sources(unknown_input, n_unknowns, SINGLE, ticks, "unknown inputs", place)
         s = s.with_fields(unknown_input=unknown_input if isinstance(unknown_input, str) else signals)
     return s
 
@@ -248,12 +248,12 @@ def _require_controller(s: Scenario, entry: PlantSpec, where: str) -> None:
     if name == "pd" and entry.inverse is None:
         plants = ", ".join(p for p, plant in PLANTS.items() if plant.inverse)
         raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it supports: {plants}.")
-    law = controller_of(s)
-    options = validate_options(law.options, control, f"{where}.control")
+    spec = controller_of(s)
+    options = validate_options(spec.options, control, f"{where}.control")
     if "path" in control and control["path"] not in PATHS:
         raise unknown(f"{where}.control.path", "path", str(control["path"]), PATHS)
-    if law.check:
-        law.check(options, controller_table.sizes(s, f"{where}.control"))
+    if spec.check:
+        spec.check(options, controller_table.sizes(s, f"{where}.control"))
 
 
 def _require_fit(s: Scenario, sizes: dict[str, int], where: str) -> None:

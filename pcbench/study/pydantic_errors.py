@@ -10,28 +10,28 @@ from pcbench.errors import UserError, brief_repr, short, unknown
 KINDS = ("float", "str")  # last part of pydantic's location for a value with several allowed types
 
 
-def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str]]) -> UserError:
-    """Return pydantic's first error as a sentence; for a value with several allowed types, the nearest.
+def user_error(where: str, error: ValidationError, keys: Mapping[str, Iterable[str]]) -> UserError:
+    """Return pydantic's first error as a UserError; for a value with several allowed types, the nearest.
 
     `keys` are the allowed keys by name of the table; "" is the whole file.
     """
     # an unknown key may cause other errors, so it comes first
-    findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    loc, kind = findings[0]["loc"], findings[0]["type"]
+    errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    loc, kind = errors[0]["loc"], errors[0]["type"]
     place = _place(loc)
     if kind == "extra_forbidden":
         inside = ".".join(str(part) for part in loc[:-1])
         table = ".".join(str(part) for part in loc[:-1] if not isinstance(part, int))
         place, name = f"{where}: {inside}" if inside else where, str(loc[-1])
         if table in ("lti", "scenario") and (name in keys["options.scenario"] or name in keys[""]):
-            right = "in [options.scenario]" if name in keys["options.scenario"] else "above the first table of the file"
-            return UserError(f"{place}: '{name}' is no key here; write it {right}.")
+            fix = "in [options.scenario]" if name in keys["options.scenario"] else "above the first table of the file"
+            return UserError(f"{place}: '{name}' is no key here; write it {fix}.")
         return unknown(place, "key here", name, keys.get(table, keys[""]))
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
-    same = [e for e in findings if e["loc"][:1] == loc[:1] and _place(e["loc"]).startswith(place)]
-    deepest = max(len(_place(e["loc"])) for e in same)
-    nearest = [e for e in same if len(_place(e["loc"])) == deepest]
+    same_key = [e for e in errors if e["loc"][:1] == loc[:1] and _place(e["loc"]).startswith(place)]
+    deepest = max(len(_place(e["loc"])) for e in same_key)
+    nearest = [e for e in same_key if len(_place(e["loc"])) == deepest]
     expected = " or ".join(dict.fromkeys(_rephrase(e["msg"]) for e in nearest))
     place = _place(nearest[0]["loc"])
     return UserError(
@@ -41,8 +41,8 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
 
 def _place(loc: tuple[int | str, ...]) -> str:
     """Return the place of an error as in TOML, without pydantic's names of types."""
-    names = [str(part).rstrip("]").endswith(KINDS) or str(part).startswith("literal[") for part in loc]
-    parts = [part for i, part in enumerate(loc) if not i or not names[i]]
+    is_type = [str(part).rstrip("]").endswith(KINDS) or str(part).startswith("literal[") for part in loc]
+    parts = [part for i, part in enumerate(loc) if not i or not is_type[i]]
     return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
 
 

@@ -32,7 +32,7 @@ def rows_only(value: object, info: ValidationInfo) -> object:
     return value
 
 
-Degrees = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: no limit
+NumberOrInf = Annotated[float, Strict(), Field(allow_inf_nan=True)]  # inf: no limit
 # Strict: no text, no boolean
 Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST), AfterValidator(_zero_or_not_tiny)]
 Positive = Annotated[
@@ -46,10 +46,10 @@ Words = Annotated[str, AfterValidator(printable)]
 M = TypeVar("M", bound=BaseModel)
 
 
-def kind(field: fields.Field) -> Any:
-    """Return the type of a field's value in a table; `axes.point` checks its range."""
+def value_type(field: fields.Field) -> Any:
+    """Return the type of a field's value in a table; `axes.axis_value` checks its range."""
     if field.word == "inf":
-        return Degrees
+        return NumberOrInf
     if field.word == "lost":
         return list[Number | Literal["lost"]]
     if field.listed:
@@ -79,9 +79,9 @@ def takes_axes(
         for f in fields.FIELDS:
             description = f.meaning if f.unit in ("", "1") else f"[{f.unit}] {f.meaning}"
             if f.name in required:
-                keys[f.name] = kind(f), Field(description=description)
+                keys[f.name] = value_type(f), Field(description=description)
             elif f.name not in without:
-                keys[f.name] = kind(f) | None, Field(None, description=description)
+                keys[f.name] = value_type(f) | None, Field(None, description=description)
         model: type[M] = create_model(
             table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys
         )

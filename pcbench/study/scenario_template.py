@@ -57,7 +57,7 @@ def _line(s: Scenario, key: str) -> str:
 
 
 def _source(source: Source) -> object:
-    """A wave as a table, a table as rows."""
+    """Return a wave as a table, and a table as rows."""
     if isinstance(source, Wave):
         return {"signal": source.shape} | {k: v for k, v in source._asdict().items() if k != "shape" and v != ""}
     return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]

@@ -11,11 +11,8 @@ from pcbench.study.scenario_schema import ScenarioTable
 from pcbench.toml_text import TomlTable
 
 Values = list[object]
-TUNINGS = (
-    "published",
-    "design",
-    "tuned",
-)  # gains as published (in a scenario), by design from the assumptions, by tuning
+# gains as published (in a scenario), by design from the assumptions, by tuning
+TUNINGS = ("published", "design", "tuned")
 
 
 class Choices(BaseModel):
@@ -150,7 +147,7 @@ class Study(BaseModel):
     tuning: str | list[str] = Field("published", description="gains: " + ", ".join(TUNINGS) + ", or a list of these")
     tune: Tune = Tune()
     # user-defined objects once the study is read: observers by label, plants and controllers by MODULE:NAME
-    _user_observers: dict[str, UserPlugin] = PrivateAttr({})
+    _plugins: dict[str, UserPlugin] = PrivateAttr({})
 
     @field_validator("tuning", mode="before")
     @classmethod

@@ -27,9 +27,9 @@ def resolve_study(study: Study, cells: list[Cell]) -> TomlTable:
         flat = json.loads(json.dumps(by_name[name].flat(), default=dict))
         flat["model"] = {k: v for k, v in flat["model"].items() if v is not None}
         scenarios[name] = {k: v for k, v in flat.items() if v is not None}
-    ran_by = {s: [o for o in observers_of(study, s) if o in options[s]] for s in study.scenarios}
-    out = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(cells)}
-    plugins = {r: study._user_observers[r.key] for r in references_in(study.model_dump(exclude_none=True))}
+    observers_by_scenario = {s: [o for o in observers_of(study, s) if o in options[s]] for s in study.scenarios}
+    out = {"options": options, "scenarios": scenarios, "observers": observers_by_scenario, "cells": numbering(cells)}
+    plugins = {r: study._plugins[r.key] for r in references_in(study.model_dump(exclude_none=True))}
     if plugins:
         out["code"] = {name: code.digest for name, code in codes(study).items()}
     if plants := {plugin.code.reference: facts(plugin.entry) for r, plugin in plugins.items() if r.kind == "plant"}:
@@ -39,7 +39,7 @@ def resolve_study(study: Study, cells: list[Cell]) -> TomlTable:
 
 def codes(study: Study) -> dict[str, Code]:
     """Return the code of each user-defined observer, plant and controller, by its name under [resolved.code]."""
-    by_reference = {r: study._user_observers[r.key].code for r in references_in(study.model_dump(exclude_none=True))}
+    by_reference = {r: study._plugins[r.key].code for r in references_in(study.model_dump(exclude_none=True))}
     return {r.key if r.kind == "observer" else f"{r.kind} {code.name}": code for r, code in by_reference.items()}
 
 
@@ -50,11 +50,8 @@ def as_dict(study: Study) -> TomlTable:
     excluded |= set() if study.vary == "one-at-a-time" else {"vary"}
 
     def dataset_reference(reference: PluginReference) -> str:
-        return (
-            study._user_observers[reference.key].code.reference
-            if reference.key in study._user_observers
-            else reference.reference
-        )
+        plugin = study._plugins.get(reference.key)
+        return plugin.code.reference if plugin else reference.reference
 
     return replace_references(study.model_dump(exclude_none=True, exclude=excluded), dataset_reference)
 

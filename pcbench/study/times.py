@@ -21,10 +21,11 @@ from pcbench.errors import UserError
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
 from pcbench.scenarios.scenario import LOST, PerChannel, has_rows, per_channel
-from pcbench.simulation.schedule import random_times, sampling
-from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
+from pcbench.simulation.schedule import random_times
+from pcbench.simulation.schedule.sampling import LOST as LOST_TICKS
+from pcbench.simulation.schedule.sampling import Clock, Stamp, ages, any_random, gamma, intervals
 
-OF_A_SENSOR = (  # common to the samples of one sensor; outliers do not affect times
+SENSOR_FIELDS = (  # common to the samples of one sensor; outliers do not affect times
     *("sampling_period", "delay"),
     *(name for name in fields.names(per="sensor") if not name.startswith("outlier_")),
 )
@@ -68,46 +69,46 @@ def clocks(s: Scenario) -> list[Clock]:
 def _clocks(all_channels: Sampling, dt: float) -> tuple[Clock, ...]:
     q, groups = len(all_channels.delay), dict[Sampling, list[int]]()
     for j in range(q):
-        single: dict[str, Any] = {name: per_channel(getattr(all_channels, name), q)[j] for name in OF_A_SENSOR}
+        single: dict[str, Any] = {name: per_channel(getattr(all_channels, name), q)[j] for name in SENSOR_FIELDS}
         single |= {name: (single[name],) for name in ("sampling_period", "delay")}
         rows = {name: getattr(all_channels, name) for name in fields.names(rows=True)}
         single |= {name: v[j] for name, v in rows.items() if has_rows(v)}
         groups.setdefault(all_channels._replace(**single), []).append(j)
-    return tuple(_clock(measured, tuple(channels), dt) for measured, channels in groups.items())
+    return tuple(_clock(sampling, tuple(channels), dt) for sampling, channels in groups.items())
 
 
-def _clock(measured: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
+def _clock(sampling: Sampling, channels: tuple[int, ...], dt: float) -> Clock:
     """Return one sensor with its additional delays: a list of values or a gamma distribution, independent or a chain."""
 
     def ticks(seconds: float) -> int:
         return round(seconds / dt)
 
-    delay, pattern = measured.delay[0], measured.sampling_pattern
-    steps = tuple(ticks(v) for v in measured.delay_values)
-    share = tuple(w / sum(measured.delay_weights) for w in measured.delay_weights)
-    if measured.delay_gamma_mean:
-        share = gamma(number(measured.delay_gamma_mean) / dt, number(measured.delay_gamma_shape))
+    delay, pattern = sampling.delay[0], sampling.sampling_pattern
+    steps = tuple(ticks(v) for v in sampling.delay_values)
+    share = tuple(w / sum(sampling.delay_weights) for w in sampling.delay_weights)
+    if sampling.delay_gamma_mean:
+        share = gamma(number(sampling.delay_gamma_mean) / dt, number(sampling.delay_gamma_shape))
         steps = tuple(range(len(share)))
-    start, length = number(measured.outage_start), number(measured.outage_duration)
-    offset, jitter = (ticks(v) for v in (measured.timestamp_offset, measured.timestamp_jitter))
+    start, length = number(sampling.outage_start), number(sampling.outage_duration)
+    offset, jitter = (ticks(v) for v in (sampling.timestamp_offset, sampling.timestamp_jitter))
     return Clock(
         channels=channels,
-        period=ticks(measured.sampling_period[0]),
+        period=ticks(sampling.sampling_period[0]),
         delay=None if isinstance(delay, str) else ticks(delay),
         profile=pattern if isinstance(pattern, str) else tuple(ticks(v) for v in pattern),
-        jitter=ticks(number(measured.sampling_jitter)),
-        spread=ticks(number(measured.delay_jitter)),
+        jitter=ticks(number(sampling.sampling_jitter)),
+        spread=ticks(number(sampling.delay_jitter)),
         steps=steps,
-        stay=chain(measured),
+        stay=chain(sampling),
         share=share,
-        turns=tuple(sampling.LOST if v == LOST else ticks(float(v)) for v in measured.delay_sequence),
-        loss=number(measured.loss),
-        burst=number(measured.mean_burst_length) if measured.loss else 0.0,
-        phase=ticks(number(measured.sampling_phase)),
+        turns=tuple(LOST_TICKS if v == LOST else ticks(float(v)) for v in sampling.delay_sequence),
+        loss=number(sampling.loss),
+        burst=number(sampling.mean_burst_length) if sampling.loss else 0.0,
+        phase=ticks(number(sampling.sampling_phase)),
         outage=(ticks(start), ticks(start + length)) if length else (0, 0),
-        stamp=Stamp(offset, 1e-6 * measured.clock_skew, jitter),
-        early=measured.prefilled,
-        swing=(measured.delay_sine[0] / dt, measured.delay_sine[1] * dt),
+        stamp=Stamp(offset, 1e-6 * sampling.clock_skew, jitter),
+        early=sampling.prefilled,
+        swing=(sampling.delay_sine[0] / dt, sampling.delay_sine[1] * dt),
     )
 
 
@@ -129,11 +130,11 @@ def number(value: PerChannel) -> float:
     return single
 
 
-def chain(measured: Sampling) -> tuple[float, ...]:
+def chain(sampling: Sampling) -> tuple[float, ...]:
     """Return for each additional delay the probability that the next sample has the same."""
-    if measured.delay_weights:
+    if sampling.delay_weights:
         return ()
-    n, stay = len(measured.delay_values), measured.delay_self_transition
+    n, stay = len(sampling.delay_values), sampling.delay_self_transition
     return (stay * n if len(stay) == 1 else stay) or (1 / n if n else 0.0,) * n
 
 
@@ -154,9 +155,9 @@ CELLS = 10_000
 CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
 
-def ticks_of(horizon: float, tick: float, where: str) -> int:
+def ticks_of(duration: float, tick: float, where: str) -> int:
     """Return a duration [s] in ticks [s]; raise UserError if it is less than two or more than TICKS."""
-    n_ticks, got = horizon / tick, f"{where}: got a duration of {horizon:g} s at a tick of {tick:g} s"
+    n_ticks, got = duration / tick, f"{where}: got a duration of {duration:g} s at a tick of {tick:g} s"
     if n_ticks > TICKS + 0.5:
         raise UserError(f"{got}, expected at most {TICKS:,} ticks; use a shorter duration or a longer tick.")
     if round(n_ticks) < 2:
@@ -167,31 +168,31 @@ def ticks_of(horizon: float, tick: float, where: str) -> int:
 def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) -> None:
     """Raise UserError if a run has too many samples, in total, on the network or out of sequence; `dt` [s] is the tick."""
     for clock in clocks:
-        least = sampling.intervals(clock, ticks)[0]
-        if ticks // least > SAMPLES:
+        interval = intervals(clock, ticks)[0]
+        if ticks // interval > SAMPLES:
             raise UserError(
-                f"{where}: got a sample every {least * dt:g} s over {ticks * dt:g} s, expected at most {SAMPLES:,} samples of "
-                f"a channel; write a sampling_period of at least {-(-ticks // SAMPLES) * dt:g}."
+                f"{where}: got a sample every {interval * dt:g} s over {ticks * dt:g} s, expected at most {SAMPLES:,} samples "
+                f"of a channel; write a sampling_period of at least {-(-ticks // SAMPLES) * dt:g}."
             )
-        longest = sampling.ages(clock, ticks)[1]
-        if longest // least > IN_FLIGHT:
+        max_age = ages(clock, ticks)[1]
+        if max_age // interval > IN_FLIGHT:
             raise UserError(
-                f"{where}: got delays of up to {longest * dt:g} s with samples every {least * dt:g} s, expected at most "
+                f"{where}: got delays of up to {max_age * dt:g} s with samples every {interval * dt:g} s, expected at most "
                 f"{IN_FLIGHT:,} samples of a channel in transit; shorten the delay or sample less often."
             )
-    most = random_times.max_oosm_lag(clocks, ticks)
-    if most > MAX_OOSM_LAG:
+    oosm_lag = random_times.max_oosm_lag(clocks, ticks)
+    if oosm_lag > MAX_OOSM_LAG:
         raise UserError(
-            f"{where}: got samples that may arrive after up to {most:,} newer ones, expected at most {MAX_OOSM_LAG:,}; use a "
-            "smaller delay_jitter, smaller differences of the delays, or a longer sampling_period."
+            f"{where}: got samples that may arrive after up to {oosm_lag:,} newer ones, expected at most {MAX_OOSM_LAG:,}; use "
+            "a smaller delay_jitter, smaller differences of the delays, or a longer sampling_period."
         )
 
 
 def require_few_cells(cells: int, ticks: int, where: str) -> None:
     """Raise UserError if the axes of a study make too many grid points for their number of ticks."""
-    most = min(CELLS, CELL_TICKS // ticks)
-    if cells > most:
+    limit = min(CELLS, CELL_TICKS // ticks)
+    if cells > limit:
         raise UserError(
-            f"{where}: axes: got {cells:,} grid points of {ticks:,} ticks, expected at most {most:,}; remove values, or "
+            f"{where}: axes: got {cells:,} grid points of {ticks:,} ticks, expected at most {limit:,}; remove values, or "
             "divide the study."
         )

@@ -125,7 +125,7 @@ def test_its_eigenvalue_is_that_of_the_loop_written_out():
     whole = expm(T * np.block([[model.A, model.B], [np.zeros((1, 3))]]))
     Phi, Gamma, K = whole[:2, :2], whole[:2, 2:], np.array([[2.0 + 0.5 * T, 0.1]])
     loop = np.block([[Phi - Gamma @ K, -Gamma], [np.array([[0.5 * T, 0.0]]), np.eye(1)]])
-    found = controller_table.slowest(t.scenario, "t")
+    found = controller_table.slowest_mode(t.scenario, "t")
     assert abs(found.mode) == pytest.approx(np.abs(np.linalg.eigvals(loop)).max(), rel=1e-10)
     assert (found.delay, found.period) == (0.0, pytest.approx(0.05))
 

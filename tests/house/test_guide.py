@@ -29,7 +29,7 @@ def test_the_pendulums_file_is_a_study(pendulum):
     assert list(cell.options) == ["kf", "ekf", "pccebo", "shortcut"]
     (p,) = plan(parse.grid_of("pendulum.py:delayed_camera", {"observers": ["shortcut"]}, []).study)
     assert p.certificates["shortcut"].status == "uncertified"
-    assert not parse.unstable(parse.grid_of("pendulum.py:delayed_camera", {}, []))
+    assert not parse.stability_warnings(parse.grid_of("pendulum.py:delayed_camera", {}, []))
 
 
 @pytest.mark.nightly

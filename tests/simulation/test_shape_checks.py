@@ -10,7 +10,7 @@ from pcbench.observers import OBSERVERS, ObserverSpec, model_only
 from pcbench.planning import padding
 from pcbench.simulation import shape_checks
 from pcbench.study import Study
-from pcbench.study.builtin import FIELD, STUDIES
+from pcbench.study.builtin import LITERATURE, STUDIES
 
 BROKEN = {
     "estimate of one state": (
@@ -100,7 +100,7 @@ def test_every_built_in_observer_keeps_to_the_protocol():
     others = {
         "scenarios": ["cart/gaussian"],
         "observers": sorted(
-            o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in (*FIELD, "interval", "cdob")
+            o for o in OBSERVERS if o.startswith(("kf", "oosm", "particle")) or o in (*LITERATURE, "interval", "cdob")
         ),
     }
     joint = {"scenarios": ["flexible-joint/sampled"], "observers": ["high-gain-predictor"]}

@@ -36,19 +36,19 @@ def works_on(observer, scenario, where):
     ],
 )
 def test_a_value_is_taken_up_to_its_edge_and_refused_beyond(name, taken, refused):
-    axes.axis(name, [taken], CART, "test")
+    axes.axis_values(name, [taken], CART, "test")
     with pytest.raises(UserError, match=r"^test\[0\]: got .*expected"):
-        axes.axis(name, [refused], CART, "test")
+        axes.axis_values(name, [refused], CART, "test")
 
 
 def test_a_value_for_each_channel_is_as_many_as_there_are_channels():
-    assert axes.axis("delay", [20.0, [20.0, 50.0, 70.0], "interval"], TANK, "test") == [
+    assert axes.axis_values("delay", [20.0, [20.0, 50.0, 70.0], "interval"], TANK, "test") == [
         (20.0,) * 3, (20.0, 50.0, 70.0), (INTERVAL,) * 3,
     ]  # fmt: skip
     with pytest.raises(UserError, match="got 2 values, expected one or 3"):
-        axes.axis("delay", [[20.0, 50.0]], TANK, "test")
+        axes.axis_values("delay", [[20.0, 50.0]], TANK, "test")
     with pytest.raises(UserError, match="got a value twice"):
-        axes.axis("delay", [20.0, [20.0, 20.0, 20.0]], TANK, "test")
+        axes.axis_values("delay", [20.0, [20.0, 20.0, 20.0]], TANK, "test")
 
 
 def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():

@@ -165,7 +165,7 @@ def test_a_law_without_a_linear_one_is_linearised(here, caplog):
 
 
 def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
-    (sentence,) = parse.unstable(parse.grid_of(STUDY | {"controller": LAW | {"kp": -40.0}}, {}, []))
+    (sentence,) = parse.stability_warnings(parse.grid_of(STUDY | {"controller": LAW | {"kp": -40.0}}, {}, []))
     assert "law does not stabilise the plant of mine" in sentence
     assert "closed loop has the eigenvalue" in sentence
     with (
@@ -173,7 +173,7 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
         pytest.raises(pcbench.UserError, match="holds other files"),
     ):
         pcbench.run(STUDY | {"controller": LAW | {"kp": -40.0}}, out=here)
-    assert not parse.unstable(parse.grid_of(STUDY | {"controller": LAW}, {}, []))
+    assert not parse.stability_warnings(parse.grid_of(STUDY | {"controller": LAW}, {}, []))
     assert controller_table.has_generic_controller(cell(STUDY | {"controller": LAW}).scenario)
 
 

@@ -40,7 +40,7 @@ def test_a_name_in_a_list_has_its_last_word_as_label(here):
     assert asked.observers == ["nudge", "kf"]
     assert list(cell.options) == ["nudge", "kf"]
     assert cell.options["nudge"].share == 0.1
-    assert cell.entry("nudge").observer is sys.modules[f"mine_{asked._user_observers['nudge'].code.digest}"].nudge
+    assert cell.entry("nudge").observer is sys.modules[f"mine_{asked._plugins['nudge'].code.digest}"].nudge
 
 
 def test_an_option_made_by_tunable_may_be_tuned_and_no_other(here):
@@ -77,7 +77,7 @@ def test_a_path_is_relative_to_the_study_file(here, tmp_path, monkeypatch):
     monkeypatch.chdir("/")
     asked = parse.grid_of(str(tmp_path / "deep" / "s.toml"), {}, []).study
     assert asked.observers == ["near", "kf"]
-    assert asked._user_observers["near"].code.module == "mine.py"
+    assert asked._plugins["near"].code.module == "mine.py"
 
 
 def test_files_beside_it_that_it_imports_belong_to_its_code(here):
@@ -87,12 +87,12 @@ def test_files_beside_it_that_it_imports_belong_to_its_code(here):
     (here / "mine.py").write_text(text.replace("share: float = 0.1", "share: float = HALF"))
     asked, (cell,) = study(observers=["mine.py:nudge"])
     assert cell.options["nudge"].share == 0.5
-    code = asked._user_observers["nudge"].code
+    code = asked._plugins["nudge"].code
     assert [name for name, _ in code.files] == ["mine.py", "helps.py", "pairs.py"]
     (here / "pairs.py").write_text("TWO = 3\n")
     changed, (other,) = study(observers=["mine.py:nudge"])
     assert other.options["nudge"].share == 0.75, "not the old one that python has kept"
-    assert changed._user_observers["nudge"].code.digest != code.digest
+    assert changed._plugins["nudge"].code.digest != code.digest
 
 
 def test_an_installed_package_offers_observers_by_plain_names(here, monkeypatch):

@@ -35,5 +35,5 @@ def _margin(period: float) -> float:
     """The size of the loop's slowest eigenvalue over a period, minus 1."""
     tick = period / 150
     times = {"sampling_period": (period, period), "dt": tick, "control": {**HELD.loop.control, "period": period}}
-    slowest = controller_table.slowest(HELD.with_fields(**times), "loop")
+    slowest = controller_table.slowest_mode(HELD.with_fields(**times), "loop")
     return np.nan if slowest is None else abs(slowest.mode) - 1

@@ -27,9 +27,8 @@ class PluginReference(NamedTuple):
 class Gate(NamedTuple):
     """Access of a study to code and files. Whoever parses a study supplies it; there is no default."""
 
-    code: Callable[
-        [PluginReference, str], UserPlugin
-    ]  # (reference, place) -> the user-defined object; raises UserError to refuse
+    # (reference, place) -> the user-defined object; raises UserError to refuse
+    code: Callable[[PluginReference, str], UserPlugin]
     files: bool  # whether it may name tables of inputs and recordings, which are opened
 
 
@@ -49,9 +48,9 @@ def references_in(study: TomlTable) -> list[PluginReference]:
 def replace_references(study: TomlTable, change: Callable[[PluginReference], str]) -> TomlTable:
     """Return a study, as a dict, with every possible reference to user-defined code changed by `change`."""
     out = dict(study)
-    if isinstance(use := out.get("custom_observers"), dict):
-        by_label = {label: text for label, text in use.items() if isinstance(text, str)}
-        out["custom_observers"] = use | {
+    if isinstance(custom := out.get("custom_observers"), dict):
+        by_label = {label: text for label, text in custom.items() if isinstance(text, str)}
+        out["custom_observers"] = custom | {
             label: change(PluginReference("observer", label, text)) for label, text in by_label.items()
         }
     if isinstance(tables := out.get("tables"), dict):
@@ -77,14 +76,11 @@ def resolve_installed(study: TomlTable) -> TomlTable:
     """Return a study, as a dict, in which plants and controllers of installed packages are named MODULE:NAME."""
 
     def resolve(reference: PluginReference) -> str:
-        if (
-            user_code.is_reference(reference.reference)
-            or reference.kind == "observer"
-            or reference.reference in NAMES[reference.kind]
-        ):
-            return reference.reference
-        plugin = find_plugins(reference.kind).get(reference.reference)
-        return plugin.reference if plugin else reference.reference
+        name = reference.reference
+        if user_code.is_reference(name) or reference.kind == "observer" or name in NAMES[reference.kind]:
+            return name
+        plugin = find_plugins(reference.kind).get(name)
+        return plugin.reference if plugin else name
 
     return replace_references(study, resolve)
 

@@ -98,10 +98,10 @@ def load(kind: str, reference: str, where: str, folder: Path | None = None) -> U
     code = user_code.code_of(reference, where, folder)
     module, _ = user_code.split(reference, where)
     code_folder = ((folder or Path()) / module).resolve().parent if code.files else None
-    return of(kind, code, where, code_folder)
+    return plugin_of(kind, code, where, code_folder)
 
 
-def of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> UserPlugin:
+def plugin_of(kind: str, code: user_code.Code, where: str, folder: Path | None = None) -> UserPlugin:
     """Return the plugin of some code; raise UserError if it has none, or a plant or a controller with a built-in name."""
     module = user_code.module_of(code, where, folder)
     member, names = user_code.attribute_of(module, code.name, KINDS[kind].types)

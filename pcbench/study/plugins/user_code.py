@@ -167,9 +167,8 @@ def _execute(code: Code, folder: Path | None) -> ModuleType:
     name = f"{Path(code.module).stem}_{code.digest}"  # the module name by which its types are unpickled
     if name in sys.modules:
         return sys.modules[name]
-    place = folder or Path(
-        FOLDER, code.digest
-    )  # as a dataset names it: for files from elsewhere only the text is available
+    # without a folder as a dataset names it: for files from elsewhere only the text is available
+    place = folder or Path(FOLDER, code.digest)
     module = ModuleType(name)
     module.__file__ = str(place / code.module)
     sys.modules[name] = module

@@ -82,7 +82,7 @@ def _slopes(law: Controller, params: Params, context: ControllerContext, request
     n, m = context.model.B.shape
     set_point = jnp.asarray(law.target(params, jnp.asarray(0)), float)
     x_ref = jnp.zeros(n).at[: len(set_point)].set(set_point)
-    memory, back = ravel_pytree(law.start(params, x_ref) if law.start else ())
+    memory, unravel = ravel_pytree(law.start(params, x_ref) if law.start else ())
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(context.dt), jnp.zeros(m), lambda age: jnp.zeros(m))
 
     def future_input(ticks_ahead: Array) -> Array:
@@ -90,11 +90,11 @@ def _slopes(law: Controller, params: Params, context: ControllerContext, request
         return jnp.zeros(m)
 
     def tick(s: Array, x: Array) -> tuple[Array, Array]:
-        decide: Callable[..., PyTree] = law.command
+        command: Callable[..., PyTree] = law.command
         if law.start is None:
-            return s, decide(params, now, x, future_input)
-        u, after = decide(params, now, x, future_input, back(s))
-        return ravel_pytree(after)[0], u
+            return s, command(params, now, x, future_input)
+        u, new_memory = command(params, now, x, future_input, unravel(s))
+        return ravel_pytree(new_memory)[0], u
 
     (A, B), (C, D) = jax.jacfwd(tick, (0, 1))(memory.astype(float), x_ref)
     return Law(*(np.asarray(M, float) for M in (A, B, C, D)))

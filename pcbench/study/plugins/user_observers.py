@@ -15,7 +15,7 @@ from pcbench.observers import OBSERVERS, ObserverSpec
 from pcbench.protocols import Observer
 from pcbench.study.plugins import user_code
 from pcbench.study.plugins.user_code import Code, UserPlugin
-from pcbench.study.pydantic_errors import sentence
+from pcbench.study.pydantic_errors import user_error
 from pcbench.toml_text import TomlTable
 
 ABSENT = "its code is not loaded"
@@ -47,7 +47,7 @@ def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
     """Return a placeholder for an observer with its options, used when a result is read without its code."""
     placeholder = user_code.absent(reference)
     fields: TomlTable = {name: (object, value) for name, value in options.items()}
-    stand_in = ObserverSpec(
+    spec = ObserverSpec(
         observer=Observer(
             init=placeholder, snapshot=placeholder, jump=placeholder, flow=placeholder, estimate=placeholder
         ),
@@ -58,7 +58,7 @@ def absent(reference: str, code: Code, options: TomlTable) -> UserPlugin:
         takes="any schedule",
         nonlinear=True,
     )
-    return UserPlugin(stand_in, code)
+    return UserPlugin(spec, code)
 
 
 def is_absent(plugin: UserPlugin) -> bool:
@@ -91,7 +91,7 @@ def validate_options(model: type[Model], table: TomlTable, where: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise sentence(where, error, {"": model.model_fields}) from None
+        raise user_error(where, error, {"": model.model_fields}) from None
     except Exception as error:  # exception in a validator
         if is_ours(model):
             raise

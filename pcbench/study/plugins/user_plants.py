@@ -63,35 +63,35 @@ def facts(entry: PlantSpec) -> TomlTable:
     }
 
 
-def absent(reference: str, code: Code, facts: TomlTable) -> UserPlugin:
+def absent(reference: str, code: Code, table: TomlTable) -> UserPlugin:
     """Return a placeholder for a plant of which only the facts are known."""
     placeholder = user_code.absent(reference)
-    linear = {name: np.array(value, float) for name, value in facts["linear"].items()}
-    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), facts["discrete"], linear.get("E"))
-    residual = np.array(facts["residual"]) if "residual" in facts else None
-    numbers = namedtuple("Numbers", facts["numbers"])(**{k: tuples(v) for k, v in facts["numbers"].items()})  # type: ignore[misc]
-    functions = {name: placeholder if name in facts["functions"] else None for name in FUNCTIONS}
+    linear = {name: np.array(value, float) for name, value in table["linear"].items()}
+    model = Model(linear["A"], linear["B"], linear["C"], linear.get("D"), table["discrete"], linear.get("E"))
+    residual = np.array(table["residual"]) if "residual" in table else None
+    numbers = namedtuple("Numbers", table["numbers"])(**{k: tuples(v) for k, v in table["numbers"].items()})  # type: ignore[misc]
+    functions = {name: placeholder if name in table["functions"] else None for name in FUNCTIONS}
     spec = PlantSpec(
         plant=Plant(
             step=placeholder,
             output=placeholder,
-            field=placeholder if facts["field"] else None,
-            errors=placeholder if "errors" in facts else None,
-            scored=len(facts.get("errors", ())),
+            field=placeholder if table["field"] else None,
+            errors=placeholder if "errors" in table else None,
+            scored=len(table.get("errors", ())),
         ),
-        signals=tuple(pair(name, unit, reference) for name, unit in facts["signals"]),
+        signals=tuple(pair(name, unit, reference) for name, unit in table["signals"]),
         numbers=numbers,
         nominal=lambda numbers: model,
         prepare=placeholder,
         summary=ABSENT,
-        unknowns=tuple(pair(name, unit, reference) for name, unit in facts["unknowns"]),
-        errors=tuple(pair(name, unit, reference) for name, unit in facts.get("errors", ())),
-        outputs=tuple(pair(name, unit, reference) for name, unit in facts.get("outputs", ())),
+        unknowns=tuple(pair(name, unit, reference) for name, unit in table["unknowns"]),
+        errors=tuple(pair(name, unit, reference) for name, unit in table.get("errors", ())),
+        outputs=tuple(pair(name, unit, reference) for name, unit in table.get("outputs", ())),
         model=functions["model"],
         successor=functions["successor"],
         sensor=functions["sensor"],
-        positive=tuple(facts["positive"]),
-        drifts=facts["drifts"],
+        positive=tuple(table["positive"]),
+        drifts=table["drifts"],
         residual=None if residual is None else lambda numbers: residual,
     )
     return UserPlugin(spec, code)
