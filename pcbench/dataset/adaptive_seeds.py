@@ -18,25 +18,25 @@ from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
 
 MARGIN = 1.05  # the standard error is an estimate itself
-GROWTH = 16  # times as many seeds a round at most
-BUDGET = 100  # times the study's seeds, where no budget is given
+GROWTH = 16  # largest factor of the number of seeds from round to round
+BUDGET = 100  # times the study's seeds, if --max-seeds is not given
 METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence_rate", "unsettled_rate")
 
 
-class Precision(NamedTuple):
+class Goal(NamedTuple):
     """The standard error to reach."""
 
     metric: str
     signal: str | None  # of this signal; None: of those that each scenario's closing table shows
     value: float
-    most: int | None  # seeds a cell
+    max_seeds: int | None  # per cell
 
 
-def parse(text: str | None, most: int | None) -> Precision | None:
+def parse(text: str | None, max_seeds: int | None) -> Goal | None:
     """Return the goal METRIC=VALUE or METRIC.SIGNAL=VALUE; raise UserError for any other form."""
     if text is None:
-        if most is not None:
-            raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")
+        if max_seeds is not None:
+            raise UserError(f"--max-seeds: got {max_seeds} without --until-se, expected both; leave --max-seeds out.")
         return None
     name, equals, number = text.partition("=")
     metric, _, signal = name.strip().partition(".")
@@ -50,12 +50,12 @@ def parse(text: str | None, most: int | None) -> Precision | None:
         )
     if metric not in METRICS:
         raise unknown("--until-se", "metric", metric, METRICS)
-    if most is not None and most < 1:
-        raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
-    return Precision(metric, signal or None, value, most)
+    if max_seeds is not None and max_seeds < 1:
+        raise UserError(f"--max-seeds: got {max_seeds}, expected a number of seeds, 1 or more; leave it out.")
+    return Goal(metric, signal or None, value, max_seeds)
 
 
-def check(goal: Precision | None, claim: StudyClaim) -> None:
+def check(goal: Goal | None, claim: StudyClaim) -> None:
     """Raise UserError if no scenario has the signal of the goal."""
     names = {name for c in claim.cells for name, _ in signals_of(c.scenario)}
     if goal is not None and goal.signal is not None and goal.signal not in names:
@@ -63,7 +63,7 @@ def check(goal: Precision | None, claim: StudyClaim) -> None:
 
 
 def rounds(
-    goal: Precision | None, target: storage.Target, claim: StudyClaim, say: Callable[[str], None]
+    goal: Goal | None, target: storage.Target, claim: StudyClaim, say: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
     """Yield the next number of seeds of each cell, until all reach the goal or the budget is spent.
 
@@ -73,7 +73,7 @@ def rounds(
     if goal is None:
         return
     first, seeds, n_short = claim.study.first_seed, claim.study.seeds, 0
-    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claim.cells}
+    max_seeds, size = goal.max_seeds or BUDGET * seeds, {cell.key: seeds for cell in claim.cells}
     cells = list(claim.cells)
     while cells:
         blocks = block_files.series(block_files.drop_overlaps(block_files.present(target)))
@@ -81,7 +81,7 @@ def rounds(
             n = size[cell.key]
             c = aggregate.of_cell(target, cell, blocks)
             error = _error(goal, c, claim.study.name, Seeds(0, first + n))
-            size[cell.key] = max(n, min(enough(n, error, goal.value), most))
+            size[cell.key] = max(n, min(seeds_for(n, error, goal.value), max_seeds))
             if size[cell.key] == n:
                 cells.remove(cell)
                 n_short += error > goal.value
@@ -89,11 +89,12 @@ def rounds(
             yield lambda cell: seed_range(first, size[cell.key])
     if n_short:
         say(
-            f"--until-se: {n_short} of {len(claim.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+            f"--until-se: {n_short} of {len(claim.cells)} cells stopped at {max_seeds} seeds, short of the goal; raise "
+            "--max-seeds."
         )
 
 
-def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) -> float:
+def _error(goal: Goal, c: aggregate.CellBlocks, study: str, within: Seeds) -> float:
     """Return the largest standard error of any observer over some seeds; inf for a single run.
 
     The standard error of a fraction is that of Wilson's interval, which is above 0 even without an event.
@@ -113,7 +114,7 @@ def _error(goal: Precision, c: aggregate.CellBlocks, study: str, within: Seeds) 
     return max(errors, default=0.0)
 
 
-def enough(n: int, error: float, goal: float) -> int:
+def seeds_for(n: int, error: float, goal: float) -> int:
     """Return the seeds that a standard error from `n` seeds needs to decrease to its goal; it is inverse to their root."""
     if error <= goal:
         return n

@@ -16,7 +16,7 @@ from pcbench.plants import signals_of
 from pcbench.study.grid import Cell
 from pcbench.synthesis.certificate import is_certified
 
-FEW = 1024  # runs of a cell whose rows are made together with those of others: of more, most of the time is theirs
+FEW = 1024  # runs of a cell that is aggregated together with others; for more runs, this saves no time
 Chunk = dict[str, statistics.Results]  # by observer
 
 
@@ -124,7 +124,7 @@ def chunks(c: CellBlocks, within: Seeds | None = None) -> Iterator[Chunk]:
 def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Iterator[statistics.Results]:
     """Yield one observer's runs, cut at multiples of a chunk."""
     parts: list[statistics.Results] = []
-    at = None
+    current = None
     for block in blocks:
         start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
@@ -132,10 +132,10 @@ def _by_chunk(c: CellBlocks, blocks: list[Block], within: Seeds | None) -> Itera
         results = results_of(block_files.read_block(c.target, block))
         while start < stop:
             chunk = start // statistics.CHUNK
-            if parts and chunk != at:
+            if parts and chunk != current:
                 yield _concat_results(parts)
                 parts = []
-            at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
+            current, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
             parts.append({m: v[..., start - block.seeds.first : end - block.seeds.first] for m, v in results.items()})
             start = end
     if parts:
@@ -150,8 +150,8 @@ def results_of(table: pa.Table) -> statistics.Results:
     """Return the metrics of a block, [signals that the observer estimates, seeds], and `diverged` [seeds]."""
     about = block_files.about(table)
 
-    def square(name: str) -> NDArray[np.generic]:
+    def by_signal(name: str) -> NDArray[np.generic]:
         return table[name].to_numpy().reshape(about["last"] - about["first"], -1).T
 
-    out = {m: square(m)[:n] for m, n in about["metrics"].items()}
-    return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}
+    out = {m: by_signal(m)[:n] for m, n in about["metrics"].items()}
+    return out | {"diverged": by_signal("diverged")[0].astype(bool), "unsettled": by_signal("status") == "unsettled"}

@@ -43,10 +43,10 @@ Series = dict[tuple[str, int, str], list[Block]]  # blocks by scenario, cell and
 
 def block_of(name: str) -> Block | None:
     """Return the block that a file's name identifies; None for any other name."""
-    parts = NAME.fullmatch(name)
-    if not parts:
+    match = NAME.fullmatch(name)
+    if not match:
         return None
-    scenario, observer, cell, first, last = parts.groups()
+    scenario, observer, cell, first, last = match.groups()
     if max(len(cell), len(first), len(last)) > DIGITS or int(last) < int(first):
         return None
     return Block(unquote(scenario), unquote(observer), int(cell), Seeds(int(first), int(last) + 1))
@@ -76,7 +76,7 @@ def read_block(target: storage.Target, block: Block) -> pa.Table:
 
 
 def _table(target: storage.Target, block: Block) -> pa.Table | str:
-    """A block's rows, or the reason why they cannot be read."""
+    """Return a block's rows, or the reason why they cannot be read."""
     content = storage.get(target, block.name)
     if content is None:
         return "it is gone"
@@ -114,10 +114,10 @@ def seal_block(table: pa.Table, about: Mapping[str, object]) -> pa.Table:
 def digest(table: pa.Table, about: Mapping[str, object]) -> str:
     """Return the digest of a block's metadata and of the bits of its numbers; texts are covered by page checksums."""
     text = json.dumps({k: v for k, v in about.items() if k != "digest"}, sort_keys=True)
-    return parquet_io.digest(table, text.encode(), words=False)
+    return parquet_io.digest(table, text.encode(), texts=False)
 
 
-def damage(target: storage.Target, block: Block, cell: str) -> str | None:
+def damage(target: storage.Target, block: Block, cell_digest: str) -> str | None:
     """Return what is wrong with a block's file; None if it is valid and of the cell with this digest."""
     table = _table(target, block)
     if isinstance(table, str):
@@ -125,7 +125,7 @@ def damage(target: storage.Target, block: Block, cell: str) -> str | None:
     metadata = about(table)
     if not columns.has_schema(parquet_io.metadata(table)):
         return OTHER_SCHEMA
-    if metadata.get("cell") != cell:
+    if metadata.get("cell") != cell_digest:
         return "it is of another cell"
     if (metadata.get("observer"), metadata.get("first"), metadata.get("last")) != (block.observer, *block.seeds):
         return "it is another block than its name says"

@@ -27,8 +27,8 @@ from pcbench.synthesis.certificate import is_certified
 PROVENANCE = "provenance.json"
 Key = tuple[str, int]  # a cell's
 ByObserver = dict[str, dict[str, storage.Json]]  # a record by scenario and observer
-TOGETHER = 32  # cells whose rows are made at a time
-FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
+BATCH = 32  # cells whose rows are computed at a time
+FROM = b"pcbench.from"  # key of the `input_digest` in a closing table's metadata
 EXACT = "exact"  # the kind of cells without runs
 
 
@@ -63,12 +63,12 @@ def close(target: storage.Target, claim: StudyClaim, tables: ClosingTables, abou
 
 def closing_tables(target: storage.Target, claim: StudyClaim, blocks: list[Block]) -> ClosingTables:
     """Return the tables of all cells in the order of the study, whose parts end at places that only the study decides."""
-    mark = {FROM: made_from(target, blocks)}
+    mark = {FROM: input_digest(target, blocks)}
     stats, pairs = GrowingTable(mark), GrowingTable(mark)
     exact, by_cell = moments_tables.rows_by_cell(target), block_files.series(block_files.drop_overlaps(blocks))
     weakest: ByObserver = {}
-    for first in range(0, len(claim.cells), TOGETHER):
-        cells = [aggregate.of_cell(target, cell, by_cell) for cell in claim.cells[first : first + TOGETHER]]
+    for first in range(0, len(claim.cells), BATCH):
+        cells = [aggregate.of_cell(target, cell, by_cell) for cell in claim.cells[first : first + BATCH]]
         for c in cells:
             for name, about in c.about.items():
                 certificate: storage.Json = about["certificate"]
@@ -108,10 +108,10 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
     keys = zip(*(exact[name].to_pylist() for name in ("observer", "metric", "reason")), strict=True)
     reasons = {observer: reason for observer, metric, reason in keys if metric == "mse"}
     stats = parquet_io.with_column(stats, "reason", [reasons.get(name) for name in stats["observer"].to_pylist()])
-    without = pa.array([name not in c.blocks for name in exact["observer"].to_pylist()])
-    rows = pa.concat_tables([exact.filter(without), stats])
-    place = {name: i for i, name in enumerate(c.cell.options)}
-    order = np.argsort([place[name] for name in rows["observer"].to_pylist()], kind="stable")
+    without_runs = pa.array([name not in c.blocks for name in exact["observer"].to_pylist()])
+    rows = pa.concat_tables([exact.filter(without_runs), stats])
+    rank = {name: i for i, name in enumerate(c.cell.options)}
+    order = np.argsort([rank[name] for name in rows["observer"].to_pylist()], kind="stable")
     return rows.take(order), pa.concat_tables([pairs, moments_tables.pairs(exact)])
 
 
@@ -159,7 +159,7 @@ def _strength(certificate: storage.Json) -> float:
     return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin
 
 
-def made_from(target: storage.Target, blocks: list[Block]) -> bytes:
+def input_digest(target: storage.Target, blocks: list[Block]) -> bytes:
     """Return a digest of the inputs of closing tables: the runs, however they are cut into blocks, and exact rows."""
     ranges = {
         key: merge_ranges(b.seeds for b in group)
@@ -182,7 +182,7 @@ def damaged_files(target: storage.Target) -> list[str]:
 
 def is_closed(target: storage.Target, blocks: list[Block]) -> bool:
     """Return whether the closing tables exist and belong to these blocks."""
-    mark = made_from(target, blocks)
+    mark = input_digest(target, blocks)
     tables = [table(target, name) for name in ("stats.parquet", "pairs.parquet")]
     metadata = [{} if t is None else parquet_io.metadata(t) for t in tables]
     return all(t.get(FROM) == mark and columns.has_schema(t) for t in metadata)

@@ -115,14 +115,12 @@ UNITLESS = (
     "sent_fraction"
 )
 OF_INPUT = "input_rms steady_input_rms pooled_input_rms steady_pooled_input_rms"
-OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1") | dict.fromkeys(
-    OF_INPUT.split(), "unit of the input"
-)  # not the signal's
+OWN_UNITS = dict.fromkeys(UNITLESS.split(), "1")  # not the signal's
+OWN_UNITS |= dict.fromkeys(OF_INPUT.split(), "unit of the input")
 OWN_UNITS |= dict.fromkeys(("settling_time", "recovery_time", "divergence_time"), "s")
 TEXT = "study scenario plant observer observer_a observer_b signal unit metric status method reason"
-TYPES = dict.fromkeys((*names(listed=True), *TEXT.split()), pa.string()) | dict.fromkeys(
-    ("cell", "seed", "n", "diverged"), pa.int64()
-)
+TYPES = dict.fromkeys((*names(listed=True), *TEXT.split()), pa.string())
+TYPES |= dict.fromkeys(("cell", "seed", "n", "diverged"), pa.int64())
 TYPES |= {name + end: pa.bool_() for name in ("predicts_unknown_input", "certified") for end in ("", "_a", "_b")}
 
 
@@ -177,8 +175,8 @@ def table(columns: Columns, bools: tuple[str, ...] = ()) -> pa.Table:
         if isinstance(values, list) and list in set(map(type, values)):
             values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
         if not isinstance(values, pa.Array):
-            lists = isinstance(values, list) and any(isinstance(v, list) for v in values[:1])
-            kind = TYPES.get(name) or (pa.list_(pa.float64()) if lists else pa.float64())
+            has_lists = isinstance(values, list) and any(isinstance(v, list) for v in values[:1])
+            kind = TYPES.get(name) or (pa.list_(pa.float64()) if has_lists else pa.float64())
             values = _array(values, pa.bool_() if name in bools else kind)
         arrays.append(values)
         fields.append(_field(name, values.type))
@@ -213,10 +211,8 @@ def axes_of(row: Iterable[str]) -> list[str]:
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head, identity = (
-        "study scenario plant observer cell",
-        "signal unit predicts_unknown_input certified metric method n diverged",
-    )
+    head = "study scenario plant observer cell"
+    identity = "signal unit predicts_unknown_input certified metric method n diverged"
     quantiles = [q + end for q in QUANTILES for end in ("", "_low", "_high")]
     return [*head.split(), *axes, *identity.split(), "mean", "se", "ci_low", "ci_high", *quantiles, "reason"]
 

@@ -35,17 +35,17 @@ from pcbench.study.serialize import to_toml
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
-MADE_BY = ("versions", "compiler", "device", "system", "precision", "engines", "git")  # what may decide the last bits
+MADE_BY = ("versions", "compiler", "device", "system", "precision", "engines", "git")  # may affect the last bits
 EXACT = "no draws: exact"
-Name = tuple[str, str, str]  # of draws: scenario, cell's digest, observer
+Name = tuple[str, str, str]  # scenario, cell's digest, observer
 
 
 class Comparison(NamedTuple):
     """The differences of two results, b minus a."""
 
     rows: pd.DataFrame  # matched, the most significantly changed first; columns of `compare_rows`
-    only: tuple[int, int]  # rows that stand in a alone, and in b alone
-    made_by: list[str]  # what differs in versions and machines, a phrase each
+    only: tuple[int, int]  # number of rows only in a, and only in b
+    made_by: list[str]  # differences of versions and machines, one phrase each
 
     @property
     def changed(self) -> int:
@@ -99,7 +99,7 @@ class Side(NamedTuple):
     target: storage.Target
     claim: StudyClaim
     stats: pa.Table
-    digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
+    digests: dict[tuple[str, int], str]  # of each cell by its key, without root seed and number
     blocks: Series
 
     @property

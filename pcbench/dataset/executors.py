@@ -24,11 +24,11 @@ from pcbench.runtime.memory import memory_budget
 if TYPE_CHECKING:
     from distributed import LocalCluster
 
-AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
-SHARE = 2.0**30  # bytes of results a task may take on a worker whose memory is not known here
-LIVES = 10  # times a task may lose its worker
-PATIENCE = "20s"  # for a scheduler to answer
-ALONE = "120s"  # that a task waits for a worker of this machine, all of which have ended; others may come again
+QUEUED = 3  # tasks per Dask worker: one computing, one writing, one waiting
+TASK_MEMORY = 2.0**30  # bytes of results per task, on workers of unknown memory
+ALLOWED_FAILURES = 10  # how often a task may lose its worker
+CONNECT_TIMEOUT = "20s"  # until a scheduler answers
+NO_WORKER_TIMEOUT = "120s"  # if all workers of this machine have ended; others may start again
 T = TypeVar("T")
 R = TypeVar("R")
 Hold = Callable[[], AbstractContextManager[jax.Device | None]]  # a device, held while it computes; None: any
@@ -41,15 +41,15 @@ class Executor(Protocol):
         """Yield reports in the order in which tasks finish."""
 
 
-def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
+def task_memory(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
     """Return the memory [bytes] for the results of one task: the limit divided by two tasks per device.
 
-    The memory of remote workers is unknown. It is SHARE, unless `memory` gives that of each worker.
+    The memory of remote workers is unknown. It is TASK_MEMORY, unless `memory` gives that of each worker.
     """
     if workers is not None and address != "local":
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
-        return SHARE if memory is None else memory_budget(memory) / 2
+        return TASK_MEMORY if memory is None else memory_budget(memory) / 2
     n_tasks = (workers or runner.cores()) if address else len(runner.devices(count))
     return memory_budget(memory) / (2 * max(n_tasks, 1))
 
@@ -62,10 +62,10 @@ def local_executor(count: int | None = None) -> Iterator[Executor]:
     pcbench waits for files that are being written. It does not wait for computations, which may take minutes; they
     write nothing when they end.
     """
-    free: SimpleQueue[jax.Device] = SimpleQueue()
+    free_devices: SimpleQueue[jax.Device] = SimpleQueue()
     for device in runner.devices(count):
-        free.put(device)
-    n_tasks = 2 * free.qsize()
+        free_devices.put(device)
+    n_tasks = 2 * free_devices.qsize()
     stop, write_slots = Event(), Semaphore(n_tasks)
     pool = ThreadPoolExecutor(n_tasks, "pcbench")
 
@@ -78,12 +78,12 @@ def local_executor(count: int | None = None) -> Iterator[Executor]:
 
             @contextmanager
             def hold() -> Iterator[jax.Device]:
-                device = free.get()
+                device = free_devices.get()
                 try:
                     check_stop()
                     yield device
                 finally:
-                    free.put(device)
+                    free_devices.put(device)
                 until_done.enter_context(write_slots)
                 check_stop()
 
@@ -127,10 +127,10 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
 
     from dask import config as dask_config
 
-    dask_config.set({"distributed.scheduler.allowed-failures": LIVES})
+    dask_config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES})
     try:
         cluster = _local(workers) if address == "local" else None
-        client = distributed.Client(cluster or address, timeout=PATIENCE, set_as_default=False)
+        client = distributed.Client(cluster or address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except RuntimeError:  # its processes import the script that started them, and come here again
         raise UserError(
             '--dask: the workers did not start, expected a script that runs below `if __name__ == "__main__":`, as spawned '
@@ -139,17 +139,16 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
             f"--dask: got {redact_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or "
-            "the "
-            "address of a running scheduler such as tcp://10.0.0.1:8786."
+            "the address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 
-    no_workers = getattr(distributed.scheduler, "NoWorkerError", ())  # of releases that know a time for it
+    no_workers = getattr(distributed.scheduler, "NoWorkerError", ())  # in releases with that timeout
 
     def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
         queue, futures = iter(tasks), distributed.as_completed(loop=client.loop)
 
         def feed() -> None:
-            room = AHEAD * max(len(client.nthreads()), 1)
+            room = QUEUED * max(len(client.nthreads()), 1)
             for task in islice(queue, max(room - futures.count(), 0)):
                 futures.add(client.submit(_run_on_worker, work, task, pure=False))
 
@@ -197,7 +196,7 @@ def _local(workers: int | None) -> "LocalCluster":
     from dask import config as dask_config
     from distributed import LocalCluster
 
-    dask_config.set({"distributed.scheduler.no-workers-timeout": ALONE})
+    dask_config.set({"distributed.scheduler.no-workers-timeout": NO_WORKER_TIMEOUT})
     return LocalCluster(
         n_workers=workers or runner.cores(),
         threads_per_worker=2,  # one computes while the other writes

@@ -21,11 +21,11 @@ from pcbench.study.serialize import to_toml
 from pcbench.toml_text import TomlTable
 
 TEXT = "study.toml"
-CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
+CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: if they exist, the study is complete
 KNOWN_FILES = ("tuning/", "training/", "draws/")  # tuned gains, and noise for external programs: before the runs begin
-EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
+EXACT = ("exact.parquet", "moments/")  # exact numbers, and exact moments over time
 OUTPUT_FILES = ("report.html", "fair.parquet", "examples/")  # what other commands write into a dataset by default
-MAX_SHOWN = 3  # differences that a refusal names
+MAX_SHOWN = 3  # differences in an error message
 
 
 class StudyClaim(NamedTuple):
@@ -34,7 +34,7 @@ class StudyClaim(NamedTuple):
     study: Study
     cells: list[Cell]
     text: str  # of study.toml
-    overwrite: bool = False  # what an older run left goes when this one begins
+    overwrite: bool = False  # remove the files of an older run at the beginning
 
 
 def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyClaim:
@@ -42,7 +42,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
 
     Writes nothing. With `overwrite`, an existing study will be removed.
     """
-    text, blocks = storage.text(target, TEXT), block_files.present(target)
+    text, blocks = storage.read(target, TEXT), block_files.present(target)
     table = None if text is None else _parse_manifest(text)
     engine = None if overwrite or table is None else table.get("engine")
     if engine is None and blocks and not overwrite:  # its text is lost
@@ -60,23 +60,23 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
     elif text is not None:
         table = read_text(target, text)
         cells = number_cells(cells, table["resolved"]["cells"])
-        if blocks:  # seeds of a run that was stopped, which have no block, bind nobody
+        if blocks:  # seeds of a stopped run that have no block may change
             block_seeds = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
             seeds = common(seed_range(table["first_seed"], table["seeds"]), block_seeds)
             table |= {"first_seed": seeds.first, "seeds": seeds.many}
         files = stored_code.files_in(target, table), stored_code.files_of(study)
-        differences = [
+        phrases = [
             *changes(table, toml_text.parse(to_toml(study, cells)), files),
             *_shape_changes(target, table, study),
         ]
-        if differences and blocks:
-            more = f" and {len(differences) - MAX_SHOWN} more" if len(differences) > MAX_SHOWN else ""
+        if phrases and blocks:
+            more = f" and {len(phrases) - MAX_SHOWN} more" if len(phrases) > MAX_SHOWN else ""
             raise UserError(
-                f"{target.name}: holds the results of another study ({'; '.join(differences[:MAX_SHOWN])}{more}), expected the "
+                f"{target.name}: holds the results of another study ({'; '.join(phrases[:MAX_SHOWN])}{more}), expected the "
                 "same one, or one with more seeds, cells or observers; give a new folder with --out, or start over with "
                 "--overwrite."
             )
-        if differences:  # nothing was finished there
+        if phrases:  # nothing was finished there
             cells = grid.cells
     return StudyClaim(study, cells, to_toml(study, cells), overwrite and bool(blocks or text is not None))
 
@@ -90,11 +90,11 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
     for b in blocks:
         about, cells = block_files.about_block(target, b), [c for c in grid.cells if c.scenario.name == b.scenario]
         options = {label: digest for c in cells[:1] for label, digest in c.options_digests.items()}
+        root_seed = about.get("root_seed")
         conflicts = {
             "it cannot be read": not about,
             f"study: {about.get('study')} there, {study.name} here": about.get("study") != study.name,
-            f"root_seed: {about.get('root_seed')} there, {study.root_seed} here": about.get("root_seed")
-            != study.root_seed,
+            f"root_seed: {root_seed} there, {study.root_seed} here": root_seed != study.root_seed,
             f"{b.observer} in {b.scenario}": b.observer not in options,
             f"options of {b.observer}": about.get("options") != options.get(b.observer),
             "axes": about.get("cell") not in [c.digest for c in cells] or b.cell >= len(cells),
@@ -127,7 +127,7 @@ def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
 
     The code of user-defined observers is loaded from the dataset's copy if it will be `run`, and otherwise not at all.
     """
-    text = storage.text(target, TEXT)
+    text = storage.read(target, TEXT)
     if text is None:
         raise UserError(
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
@@ -164,12 +164,12 @@ def begin(target: storage.Target, claim: StudyClaim) -> None:
         for name in stored_code.copies(target):
             storage.remove(target, name)
     renew(target, claim)
-    stored_code.keep(target, claim.study)
+    stored_code.store_code(target, claim.study)
 
 
 def renew(target: storage.Target, claim: StudyClaim) -> None:
     """Write the study's text, unless it is already there."""
-    if storage.text(target, TEXT) != claim.text.encode():
+    if storage.read(target, TEXT) != claim.text.encode():
         storage.write_file(target, TEXT, claim.text.encode())
 
 
@@ -205,9 +205,9 @@ def _parse_manifest(text: bytes) -> TomlTable | None:
     try:
         table = toml_text.parse(text)
         resolved = table["resolved"]
-        numbers = isinstance(table["seeds"], int) and isinstance(table["first_seed"], int)
-        tables = all(isinstance(v, dict) for k in ("options", "scenarios") for v in resolved[k].values())
-        lists = all(isinstance(v, list) for k in ("observers", "cells") for v in resolved[k].values())
-        return table if numbers and lists and tables and isinstance(table.get("axes", {}), dict) else None
+        has_numbers = isinstance(table["seeds"], int) and isinstance(table["first_seed"], int)
+        has_tables = all(isinstance(v, dict) for k in ("options", "scenarios") for v in resolved[k].values())
+        has_lists = all(isinstance(v, list) for k in ("observers", "cells") for v in resolved[k].values())
+        return table if has_numbers and has_lists and has_tables and isinstance(table.get("axes", {}), dict) else None
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

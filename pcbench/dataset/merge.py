@@ -72,7 +72,7 @@ def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = S
     union = _over_all_seeds(claims)
     parts, exact = _parts(targets, claims, union), _exact_files(targets, claims, union)
     progress.begin("merging", 2 * sum(map(len, parts.values())))
-    for group in parts.values():  # first look, then write
+    for group in parts.values():  # all comparisons before the first file is written
         for i, part in enumerate(group):
             for other in group[:i]:
                 _require_equal(part, other)
@@ -192,8 +192,8 @@ def _exact_files(
     """Return the files of exact numbers by their name in the merged dataset."""
     out: dict[str, list[ExactFile]] = {}
     for target, claim in zip(targets, claims, strict=True):
-        place, numbers = moments_tables.place, _numbers(claim, union)
-        names = {place(s, n): place(s, number) for (s, n), number in numbers.items()}
+        file, numbers = moments_tables.moments_file, _numbers(claim, union)
+        names = {file(s, n): file(s, number) for (s, n), number in numbers.items()}
         names[moments_tables.NAME] = moments_tables.NAME
         for name in filter(names.__contains__, storage.names(target)):
             out.setdefault(names[name], []).append(ExactFile(target, claim, name))

@@ -55,7 +55,7 @@ class Exact:
         If each run has its own schedule, they are over noise and schedules. Observers without exact results are missing.
         """
         frames = []
-        for m in self.solved(self._select(scenario, cell), "std"):
+        for m in self.solve_cells(self._select(scenario, cell), "std"):
             for part in self.over_time(m):
                 head, n = columns.keys(self.grid.study.name, m.plan.cell), len(part["t"])
                 frames.append(pd.DataFrame({name: [value] * n for name, value in head.items()} | part))
@@ -66,17 +66,17 @@ class Exact:
         cell = m.plan.cell
         names = [name for name, _ in signals_of(cell.scenario)]
         ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).every(cell.times.ticks))
-        for label, place in m.signals.items():
+        for label, errors in m.signals.items():
             if m.why[label] or not m.rows:
                 continue
-            means, variances = np.asarray(m.rows.mean[:, place]), np.asarray(m.rows.covariance[:, place, 0])
+            means, variances = np.asarray(m.rows.mean[:, errors]), np.asarray(m.rows.covariance[:, errors, 0])
             mean, variance = means[..., 0], variances[..., 0]
             if m.random:
                 mean, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
             std = np.sqrt(np.maximum(variance, 0.0))
-            for i in range(place.stop - place.start):
-                words = (np.full(len(ticks), word, object) for word in (label, names[i]))
-                yield dict(zip(OVER_TIME, (*words, cell.scenario.dt * ticks, mean[:, i], std[:, i]), strict=True))
+            for i in range(errors.stop - errors.start):
+                labels = (np.full(len(ticks), word, object) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*labels, cell.scenario.dt * ticks, mean[:, i], std[:, i]), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one grid point, where all observers get the same noise.
@@ -86,26 +86,26 @@ class Exact:
         cells = self._select(scenario, cell)
         if len(cells) > 1:
             raise UserError(f"covariance: got {len(cells)} cells, expected one; give scenario and cell.")
-        m, *more = self.solved(cells, COVARIANCE)
+        m, *more = self.solve_cells(cells, COVARIANCE)
         if more:
             raise UserError(
                 f"covariance: got {len(cells[0].options)} observers in a closed loop, expected one: each drives a plant of "
                 "its own; ask with observers=[...] of one."
             )
         if not m.rows or any(m.why.values()):
-            # One whose numbers overflow spoils those of the others here, and not by itself.
-            reasons = (reason for c in self.solved(cells) for reason in c.why.values())
+            # an overflow of one observer spoils the numbers of the others here, but not if each is solved by itself
+            reasons = (reason for c in self.solve_cells(cells) for reason in c.why.values())
             raise UserError(f"covariance: {next(filter(None, (*reasons, *m.why.values())))}")
         names = [name for name, _ in signals_of(cells[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
-        order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
+        order = [i for z in m.signals.values() for i in range(z.start, z.stop)]
         mean: Values = np.asarray(m.rows.mean[:, order])
         deviation = mean - mean.mean(-1, keepdims=True)
         between = np.einsum("tis,tjs->tij", deviation, deviation) / deviation.shape[-1]
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
         return Joint(cells[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
 
-    def solved(self, cells: list[Cell], quantity: str = "", points: int = 0) -> Iterator[CellMoments]:
+    def solve_cells(self, cells: list[Cell], quantity: str = "", points: int = 0) -> Iterator[CellMoments]:
         """Yield the moments of cells; if there are many, for one observer at a time."""
         with config.float64():
             request = MomentRequest(self.grid.study.root_seed, self.schedules, quantity, points)
@@ -114,7 +114,7 @@ class Exact:
 
     def all_rows(self, cells: list[Cell]) -> Iterator[dict[str, object]]:
         """Yield the rows of all cells."""
-        for m in self.solved(cells):
+        for m in self.solve_cells(cells):
             yield from self.rows(m)
 
     def rows(self, m: CellMoments) -> Iterator[dict[str, object]]:
@@ -122,7 +122,7 @@ class Exact:
         cell, p = m.plan.cell, m.plan
         signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = resolvable_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
-        names, units = _words(tuple(signals))
+        names, units = _names_and_units(tuple(signals))
         order = _order(tuple(head))
         for label in m.signals:
             rows = stats_rows.stats_columns(m, label, m.why[label], bound)
@@ -152,7 +152,7 @@ def _order(head: tuple[str, ...]) -> list[str]:
 
 
 @lru_cache(256)
-def _words(signals: tuple[tuple[str, str], ...]) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+def _names_and_units(signals: tuple[tuple[str, str], ...]) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
     """The names of signals [K], and the units of their metrics [K, METRICS]."""
     units = [[columns.unit_of(metric, unit) for metric in stats_rows.ORDER] for _, unit in signals]
     return np.array([name for name, _ in signals], object), np.array(units, object)

@@ -2,7 +2,7 @@
 
 They are computed once for a study, before the simulations, and determine which observers of which cells need runs. The
 moments of a cell are at ticks 0 .. N; over a long duration only about `POINTS` ticks are stored. A study of more than
-`MOST` cells has no `moments/`, because writing a file per cell would take most of the time.
+`MAX_CELLS` cells has no `moments/`, because writing a file per cell would take most of the time.
 """
 
 import itertools
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 NAME, FOLDER = "exact.parquet", "moments"
 OVER_TIME = re.compile(rf"{FOLDER}/scenario=[^/]+/cell=\d+\.parquet")
-OF = b"pcbench.of"  # the key in its metadata: of which study it is
+OF = b"pcbench.of"  # key of the study's digest (`mark_of`) in the metadata
 POINTS = 1000
-MOST = 1000  # cells of a study whose moments over time are kept
-WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
-MAX_REFUSALS = 3  # refusals that are said
+MAX_CELLS = 1000  # cells of a study whose moments over time are kept
+WRITERS = 4  # threads that write: a file takes 1 ms to compute and 5 ms to reach the disk
+MAX_REFUSALS = 3  # reported refusals
 
 
 def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
@@ -44,14 +44,12 @@ def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], 
     manifest.begin(target, claim)
     for name in [n for n in storage.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
         storage.remove(target, name)
-    from pcbench.dataset.moments_frames import (
-        Exact,
-    )  # with pandas, half a second that a study of runs does not wait for
+    from pcbench.dataset.moments_frames import Exact  # imports pandas, which studies of runs do not need
 
     exact = Exact(Grid(claim.study, claim.cells), claim.study.schedules)
     parts: list[dict[str, object]] = []  # rows by column, of all cells
     progress.begin("exact cells", len(claim.cells))
-    with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are made while files wait for the disk
+    with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are computed while files wait for the disk
         futures: deque[Future[None]] = deque()
         for name, table in _over_time(claim, exact, parts, progress):
             futures.append(threads.submit(storage.put_table, target, name, parquet_io.seal_table(table)))
@@ -77,7 +75,7 @@ def _over_time(
     claim: StudyClaim, exact: "Exact", rows: list[dict[str, object]], progress: Progress
 ) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets the rows of every cell, by column."""
-    moments = exact.solved(claim.cells, "std" if len(claim.cells) <= MOST else "", POINTS)
+    moments = exact.solve_cells(claim.cells, "std" if len(claim.cells) <= MAX_CELLS else "", POINTS)
     for key, parts in itertools.groupby(moments, key=lambda m: m.plan.cell.key):
         frames: list[dict[str, NDArray[np.generic]]] = []
         for m in parts:
@@ -87,7 +85,7 @@ def _over_time(
             part = np.repeat(np.arange(len(frames)), [len(f["t"]) for f in frames])
             words = {name: columns.words([str(f[name][0]) for f in frames], part) for name in ("observer", "signal")}
             numbers = {name: np.concatenate([f[name] for f in frames]) for name in ("t", "mean", "std")}
-            yield place(*key), columns.table(words | numbers)
+            yield moments_file(*key), columns.table(words | numbers)
         progress.step(1)
 
 
@@ -149,7 +147,7 @@ def pairs(rows: pa.Table) -> pa.Table:
     )
 
 
-def place(scenario: str, cell: int) -> str:
+def moments_file(scenario: str, cell: int) -> str:
     """Return the name of a cell's file of moments."""
     return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
 

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from pcbench.errors import UserError
 
 SEAL = b"pcbench.digest"  # the key in a table's metadata
-DAMAGE = (pa.ArrowException, OSError, ValueError)  # what pyarrow raises where a file is not as it was written
-PLAIN = 2**28  # bytes that a file may take in memory
-RATIO = 1000  # or so many times its own bytes, if that is more: equal numbers take little in a file
-ROWS = 20_000  # that are gathered before they are written
+DAMAGE = (pa.ArrowException, OSError, ValueError)  # what pyarrow raises for a damaged file
+MAX_BYTES = 2**28  # of a file in memory
+MAX_RATIO = 1000  # or this many times the size of the file, if that is more: equal numbers compress well
+ROWS = 20_000  # collected before they are written
 
 
 def encode_table(table: pa.Table) -> pa.Buffer:
@@ -26,8 +26,8 @@ def encode_table(table: pa.Table) -> pa.Buffer:
     pq.write_table(table, sink, compression="snappy", **options)
     content = sink.getvalue()
     footer = pq.read_metadata(pa.BufferReader(content))
-    same = (table.schema.metadata or {}).items() <= (footer.metadata or {}).items()
-    if (footer.num_rows, footer.num_columns) != table.shape or not same:
+    has_metadata = (table.schema.metadata or {}).items() <= (footer.metadata or {}).items()
+    if (footer.num_rows, footer.num_columns) != table.shape or not has_metadata:
         raise UserError("store: a table read back from its own bytes differs, expected the same; report this.")
     return content
 
@@ -41,10 +41,10 @@ def open_parquet(content: pa.Buffer) -> pq.ParquetFile:
     """
     file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, pre_buffer=False)
     footer = file.metadata
-    # of a damaged column pyarrow aborts
+    # not the sizes of single columns: pyarrow aborts if a column is damaged
     pages = sum(footer.row_group(i).total_byte_size for i in range(footer.num_row_groups))
     size = max(8 * footer.num_rows * footer.num_columns, pages)
-    if size > max(PLAIN, RATIO * len(content)):
+    if size > max(MAX_BYTES, MAX_RATIO * len(content)):
         file.close()
         raise pa.ArrowInvalid(f"{len(content) / 1e6:.3g} MB that take {size / 1e6:.3g} MB in memory")
     return file
@@ -75,9 +75,9 @@ def metadata(table: pa.Table) -> dict[bytes, bytes]:
     return dict(table.schema.metadata or {})
 
 
-def with_metadata(table: pa.Table, more: dict[bytes, bytes]) -> pa.Table:
+def with_metadata(table: pa.Table, entries: dict[bytes, bytes]) -> pa.Table:
     """Return a table with additional metadata."""
-    return table.replace_schema_metadata(metadata(table) | more)
+    return table.replace_schema_metadata(metadata(table) | entries)
 
 
 def with_column(table: pa.Table, name: str, values: pa.Array | ArrayLike) -> pa.Table:
@@ -87,15 +87,15 @@ def with_column(table: pa.Table, name: str, values: pa.Array | ArrayLike) -> pa.
     return table.set_column(table.schema.get_field_index(name), field, values)
 
 
-def digest(table: pa.Table, begin: bytes = b"", words: bool = True) -> str:
+def digest(table: pa.Table, prefix: bytes = b"", texts: bool = True) -> str:
     """Return the digest of some bytes and of a table's columns, numbers to the bit; texts are optional."""
-    out = hashlib.sha256(begin)
+    out = hashlib.sha256(prefix)
     for field, column in zip(table.schema, table.columns, strict=True):
         kind = f"list<item: {field.type.value_type}>" if pa.types.is_list(field.type) else field.type
         out.update(f"{field.name}:{kind}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
             out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
-        elif words:
+        elif texts:
             out.update(_as_text(column).encode())
     return out.hexdigest()[:32]
 

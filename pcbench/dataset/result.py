@@ -69,9 +69,9 @@ class Result:
         target: storage.Target,
         out: Path | str | None,
         cost: Cost,
-        keep: TemporaryDirectory[str] | None = None,
+        tempdir: TemporaryDirectory[str] | None = None,
     ):
-        self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
+        self.study, self.out, self.cost, self._target, self._tempdir = study, out, cost, target, tempdir
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.gain_variants`
         self.provenance: storage.Json = close.record(target) or {}
 
@@ -111,7 +111,7 @@ class Result:
 
     def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":
         """Return the rows of `moments` of one grid point; none if it has no exact results."""
-        name = moments_tables.place(scenario, cell)
+        name = moments_tables.moments_file(scenario, cell)
         return self._moments([name] if storage.get(self._target, name) is not None else [])
 
     def _moments(self, names: list[str]) -> "pd.DataFrame":
@@ -131,9 +131,9 @@ class Result:
 
     def ranks(self, metric: str) -> str:
         """Return the metric that ranks observers: for a root mean square in exact results, its pooled form."""
-        plain = metric.removeprefix("steady_")
-        roots = self.exact and plain in ("rmse", "tracking_rmse", "input_rms")
-        return f"{metric.removesuffix(plain)}pooled_{plain}" if roots else metric
+        base = metric.removeprefix("steady_")
+        is_root = self.exact and base in ("rmse", "tracking_rmse", "input_rms")
+        return f"{metric.removesuffix(base)}pooled_{base}" if is_root else metric
 
     @cached_property
     def exact(self) -> bool:
@@ -186,17 +186,17 @@ class Result:
         import pyarrow.dataset as ds
         import pyarrow.parquet as pq
 
-        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-        kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
+        scan_options = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        parquet = ds.ParquetFileFormat(default_fragment_scan_options=scan_options)
         target, blocks = self._target, block_files.present(self._target)
         files, base = [f"{target.root}/{block.name}" for block in blocks], f"{target.root}/runs"
         try:
-            form = {"filesystem": target.fs, "format": kind, "partitioning": "hive", "partition_base_dir": base}
-            dataset = ds.dataset(files, **form)
+            options = {"filesystem": target.fs, "format": parquet, "partitioning": "hive", "partition_base_dir": base}
+            dataset = ds.dataset(files, **options)
             first_files = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
             schemas = [pq.read_schema(file, filesystem=target.fs) for file in first_files.values()]
             if any(set(schema.names) - set(dataset.schema.names) for schema in schemas):
-                dataset = ds.dataset(files, schema=pa.unify_schemas([dataset.schema, *schemas]), **form)
+                dataset = ds.dataset(files, schema=pa.unify_schemas([dataset.schema, *schemas]), **options)
             return dataset.to_table(columns, filter=where).to_pandas()
         except (pa.ArrowException, OSError) as error:
             for block in blocks:

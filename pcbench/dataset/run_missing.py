@@ -30,14 +30,14 @@ from pcbench.runtime import provenance
 from pcbench.runtime.progress import COMPILING, SILENT, Progress, Stopwatch
 from pcbench.study.grid import Cell
 
-CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
-TASKS = 64  # to share among cores and workers
-LONG = 60.0  # [s] a call that takes longer is announced
+CALLS = 4  # per block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
+TASKS = 64  # at least, for all cores and workers
+LONG_CALL = 60.0  # [s] a longer call is announced
 HOUR = 3600.0  # [s]
-MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
+MANY_FILES = 10_000  # blocks of a study; with more, each block has more seeds
 DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
-LEAF = 200  # bytes that an array takes besides its numbers
-AHEAD = 16  # tasks that wait for the program after theirs
+ARRAY_BYTES = 200  # of an array without its numbers
+DELAYED = 16  # tasks that wait until the next program compiles
 SeedsOf = Callable[[Cell], Seeds]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
@@ -49,13 +49,15 @@ class Sizes(NamedTuple):
     memory: float = float("inf")  # bytes that results may take at a time
 
 
-def required_seeds(claim: StudyClaim, blocks: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
+def required_seeds(
+    claim: StudyClaim, blocks: list[Block], min_seeds: Mapping[str, int] = MappingProxyType({})
+) -> SeedsOf:
     """Return the required seeds of a cell: those of the study, and any further ones that one of its observers has.
 
-    `more` gives a minimum number of seeds for some cells, by their digest.
+    `min_seeds` gives a minimum number of seeds for some cells, by their digest.
     """
     base = seed_range(claim.study.first_seed, claim.study.seeds)
-    stops = {c.key: base.first + max(more[c.digest], base.many) for c in claim.cells if c.digest in more}
+    stops = {c.key: base.first + max(min_seeds[c.digest], base.many) for c in claim.cells if c.digest in min_seeds}
     for b in blocks:
         stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), base.stop), b.seeds.stop)
     return lambda cell: Seeds(base.first, stops.get(cell.key, base.stop))
@@ -109,11 +111,8 @@ def missing_seeds(claim: StudyClaim, blocks: list[Block], seeds_of: SeedsOf, siz
 def count_missing(target: storage.Target, claim: StudyClaim) -> int:
     """Return the number of runs of a study without a block."""
     blocks = block_files.present(target)
-    return runs_in(
-        missing_seeds(
-            moments_tables.select_simulations(target, claim), blocks, required_seeds(claim, blocks), lambda cell: 2**40
-        )
-    )
+    simulations = moments_tables.select_simulations(target, claim)
+    return runs_in(missing_seeds(simulations, blocks, required_seeds(claim, blocks), lambda cell: 2**40))
 
 
 def runs_in(todo: Gaps) -> int:
@@ -130,7 +129,7 @@ class RunPlan(NamedTuple):
     cache: memo.Cache  # has the designs
     room: padding.Capacity = padding.Capacity()
     first_drafts: tuple[Plan, ...] = ()  # drafts of the first cells
-    cells: int = 0  # how many cells those are
+    n_cells: int = 0  # number of these cells
 
     def drafts(self, skip: int = 0) -> Iterator[Plan]:
         """Lay out all cells except the first `skip`."""
@@ -155,7 +154,7 @@ class RunPlan(NamedTuple):
         for expensive in sorted(
             {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
         ):
-            rest = self.drafts(self.cells) if self.cells < len(cells) else ()
+            rest = self.drafts(self.n_cells) if self.n_cells < len(cells) else ()
             yield from interleave(self._tasks(chain(*programs.values(), rest), expensive, timed_programs))
 
     def _tasks(self, drafts: Iterable[Plan], expensive: bool, timed_programs: set[Hashable]) -> Iterator[task.Task]:
@@ -177,7 +176,7 @@ class RunPlan(NamedTuple):
                 yield t
 
 
-def interleave(tasks: Iterable[task.Task], limit: int = AHEAD) -> Iterator[task.Task]:
+def interleave(tasks: Iterable[task.Task], limit: int = DELAYED) -> Iterator[task.Task]:
     """Yield the task that compiles a program before the waiting tasks of the program before it, at most `limit`.
 
     So two programs are compiled at the same time, although all tasks of a program wait for its compilation.
@@ -207,12 +206,12 @@ def plan_runs(claim: StudyClaim, todo: Gaps, seeds_of: SeedsOf) -> RunPlan:
         room = padding.larger(room, padding.capacity_of(p))
         if budget >= 0:
             new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in ids}
-            budget -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())
+            budget -= sum(getattr(a, "nbytes", 0) + ARRAY_BYTES for a in new.values())
             drafts.append(p)
             ids.update(new)
     if budget < 0:  # the last cell may lack drafts: a closed loop has one for each observer
         drafts = [p for p in drafts if p.cell.key != drafts[-1].cell.key]
-    return plan._replace(room=room, first_drafts=tuple(drafts), cells=len({p.cell.key for p in drafts}))
+    return plan._replace(room=room, first_drafts=tuple(drafts), n_cells=len({p.cell.key for p in drafts}))
 
 
 def run_blocks(
@@ -231,7 +230,7 @@ def run_blocks(
     """
     todo = missing_seeds(claim, blocks, seeds_of, partial(_block_size, claim, seeds_of, sizes))
     if not todo:
-        storage.clear(target)  # of one that was killed while it closed the tables, too
+        storage.clear(target)  # also of a run that was killed while it wrote the closing tables
         manifest.renew(target, claim)
         return Cost()
     _require_simulated(claim, todo)
@@ -251,7 +250,7 @@ def run_blocks(
         n_compiled += report.call is not None
         progress.note(_activity(n_compiled, len(programs)))
         if report.call:
-            if report.call.seconds > LONG:
+            if report.call.seconds > LONG_CALL:
                 say(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.cost.runs)
@@ -281,10 +280,10 @@ def _require_versions(report: task.Report) -> None:
     """Raise UserError if a worker has other releases than this process, because the last bits may differ."""
     local, remote = provenance.versions(), report.versions
     if remote != local:
-        theirs = ", ".join(f"{k} {v}" for k, v in remote.items() if local.get(k) != v)
-        ours = ", ".join(f"{k} {v}" for k, v in local.items() if remote.get(k) != v)
+        remote_text = ", ".join(f"{k} {v}" for k, v in remote.items() if local.get(k) != v)
+        local_text = ", ".join(f"{k} {v}" for k, v in local.items() if remote.get(k) != v)
         raise UserError(
-            f"--dask: a worker has {theirs}, expected {ours} as here; install the same releases everywhere."
+            f"--dask: a worker has {remote_text}, expected {local_text} as here; install the same releases everywhere."
         )
 
 

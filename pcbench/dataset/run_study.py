@@ -42,31 +42,33 @@ class RunOptions(NamedTuple):
     memory: str | int | None = None
     progress: Progress = SILENT
     say: Say = lambda sentence: None
-    more: Mapping[str, int] = MappingProxyType({})  # seeds that cells are to have at least, by digest
+    min_seeds: Mapping[str, int] = MappingProxyType({})  # of cells, by digest
 
     def checked(self) -> "RunOptions":
         """Return the settings; raise UserError for an invalid value, before the computation starts."""
         for count, where in ((self.block_size, "--block-size"), (self.workers, "--workers"), (self.devices, "devices")):
             if count is not None and count < 1:
                 raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
-        executors.share(self.memory, self.dask, self.workers, self.devices)
+        executors.task_memory(self.memory, self.dask, self.workers, self.devices)
         adaptive_seeds.parse(self.until_se, self.max_seeds)
         return self
 
 
-def execute(grid: Grid, out: str | Path | None = None, how: RunOptions | None = None) -> Result:
+def execute(grid: Grid, out: str | Path | None = None, options: RunOptions | None = None) -> Result:
     """Run a study and return its tables; with `out`, store them in that folder or URI. Raises as `pcbench.run`."""
-    how = (how or RunOptions()).checked()
-    goal, say, progress = adaptive_seeds.parse(how.until_se, how.max_seeds), how.say, how.progress
+    options = (options or RunOptions()).checked()
+    goal, say, progress = adaptive_seeds.parse(options.until_se, options.max_seeds), options.say, options.progress
     with config.float64(), ExitStack() as stack:
         start, start_time = perf_counter(), datetime.now(UTC)
-        keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
-        target = storage.target(keep.name if keep else str(out))
-        claim = manifest.claim(target, grid, how.overwrite)
+        tempdir = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
+        target = storage.target(tempdir.name if tempdir else str(out))
+        claim = manifest.claim(target, grid, options.overwrite)
         adaptive_seeds.check(goal, claim)
-        sizes = run_missing.Sizes(how.block_size, executors.share(how.memory, how.dask, how.workers, how.devices))
+        sizes = run_missing.Sizes(
+            options.block_size, executors.task_memory(options.memory, options.dask, options.workers, options.devices)
+        )
         run_tasks = stack.enter_context(
-            executors.dask(how.dask, how.workers) if how.dask else executors.local_executor(how.devices)
+            executors.dask(options.dask, options.workers) if options.dask else executors.local_executor(options.devices)
         )
         blocks = [] if claim.overwrite else run_missing.valid_blocks(target, claim, say)
         cost, exact_start = Cost(), perf_counter()
@@ -74,15 +76,13 @@ def execute(grid: Grid, out: str | Path | None = None, how: RunOptions | None = 
             claim, blocks = claim._replace(overwrite=False), block_files.drop_overlaps(block_files.present(target))
             cost = Cost(exact_seconds=perf_counter() - exact_start)
         simulations = moments_tables.select_simulations(target, claim)
-        seeds_of = run_missing.required_seeds(simulations, blocks, how.more)
-        cost = add_costs(
-            cost, run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
-        )
+        seeds_of = run_missing.required_seeds(simulations, blocks, options.min_seeds)
+        more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+        cost = add_costs(cost, more)
         for seeds_of in adaptive_seeds.rounds(goal, target, simulations, say):
             blocks = block_files.drop_overlaps(block_files.present(target))
-            cost = add_costs(
-                cost, run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
-            )
+            more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+            cost = add_costs(cost, more)
         blocks = block_files.drop_overlaps(block_files.present(target))
         if cost.runs or not close.is_closed(target, blocks):
             progress.note("statistics")
@@ -92,10 +92,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: RunOptions | None = 
             seconds |= {name: getattr(cost, name) for name in cost._fields[2:]}
             seconds["closing_seconds"] = perf_counter() - closing_start
             started = start_time.isoformat(timespec="seconds")
-            about = {"started": started, "runs_added": cost.runs, "until_se": how.until_se}
+            about = {"started": started, "runs_added": cost.runs, "until_se": options.until_se}
             about |= {name: round(value, 3) for name, value in seconds.items()}
             close.close(target, claim, tables, about)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)
-    return Result(claim.study, target, where, cost, keep)
+    return Result(claim.study, target, where, cost, tempdir)

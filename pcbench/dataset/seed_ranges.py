@@ -41,7 +41,7 @@ def merge_ranges(ranges: Iterable[Seeds]) -> list[Seeds]:
 
 
 def gaps(ranges: Iterable[Seeds], span: Seeds, size: int) -> list[Seeds]:
-    """Return the ranges of the wanted seeds that no held range contains, cut at multiples of `size`."""
+    """Return the ranges of `span` that none of `ranges` contains, cut at multiples of `size`."""
     out, at = [], span.first
     for seeds in [*sorted(ranges), Seeds(span.stop, span.stop)]:
         while at < min(seeds.first, span.stop):

@@ -52,8 +52,8 @@ def unpack(parcel: bytes | Plan) -> Plan:
     cell = p.cell._replace(scenario=s, user_observers={o: plugin for (_, o), plugin in plugins.items() if o})
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     observers = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
-    plant, law = plants.entry_of(s).plant, loop_setup.controller(cell)
-    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=observers, controller=law))
+    plant, controller = plants.entry_of(s).plant, loop_setup.controller(cell)
+    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=observers, controller=controller))
 
 
 class _Pickler(pickle.Pickler):
@@ -92,9 +92,8 @@ def _functions(x: object, ids: set[int]) -> Iterator[FunctionType]:
     if isinstance(x, FunctionType):
         yield x
     elif isinstance(x, partial):
-        parts = chain(
-            [x.func], x.args, x.keywords.values()
-        )  # a tuple made here might get the number of one made before
+        # no new tuple, which might get the id of an earlier one
+        parts = chain([x.func], x.args, x.keywords.values())
     elif isinstance(x, Mapping):
         parts = x.values()
     elif isinstance(x, tuple):

@@ -32,7 +32,7 @@ from pcbench.runtime import ending
 NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
-FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
+ABANDONED_AGE = 86400.0  # [s] age at which an unfinished file of another machine is removed
 _COUNT = itertools.count()
 Json = dict[str, Any]  # an object: texts, numbers, lists and objects by key
 
@@ -75,7 +75,7 @@ def _remote(out: str) -> Target:
     try:
         fs, root = pafs.FileSystem.from_uri(out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:
-        reason = f" ({_reason(error)})" if name == out else ""  # which may quote what is not to be shown
+        reason = f" ({_reason(error)})" if name == out else ""  # the reason may quote the password
         raise UserError(f"{name}: cannot be accessed{reason}; expected a path or a URI.") from None
     return Target(fs, root.rstrip("/"), name, out)
 
@@ -91,7 +91,7 @@ def write_file(target: Target, name: str, content: bytes | pa.Buffer, durable: b
     If a file is not `durable`, a power failure before `sync` may remove it, but never leaves a part of it.
     """
     path = Path(target.root, name)
-    with refusals(f"{target.name}/{name}"), ending.uncut():
+    with file_errors(f"{target.name}/{name}"), ending.uncut():
         if not target.local:
             with target.fs.open_output_stream(f"{target.root}/{name}") as stream:
                 stream.write(content)
@@ -156,7 +156,7 @@ def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
 
 
 def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
-    """Put files that belong together: in a folder of this machine all of them, or none where this is stopped."""
+    """Put files that belong together: in a folder of this machine all of them, or none if this is interrupted."""
     temporary = {
         name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" if target.local else name for name in files
     }
@@ -166,7 +166,7 @@ def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
             for name, content in files.items():
                 write_file(target, temporary[name], content)
             if target.local:
-                with refusals(target.name):
+                with file_errors(target.name):
                     rename_all([(root / temporary[name], root / name) for name in files])
         finally:
             for path in temporary.values() if target.local else ():
@@ -198,24 +198,24 @@ def sync(target: Target, folders: Iterable[str]) -> None:
 def document(target: Target, name: str) -> Json | None:
     """Return the object of a JSON file; None if the file is missing or contains no JSON object."""
     try:
-        content = json.loads(text(target, name) or b"null")
+        content = json.loads(read(target, name) or b"null")
     except ValueError:
         return None
     return content if isinstance(content, dict) else None
 
 
 def get(target: Target, name: str) -> pa.Buffer | None:
-    """Return the content under a name; None if there is none. Raises UserError for a link."""
+    """Return the content under a name as a buffer; None if there is none. Raises UserError for a link."""
     _require_no_link(target, name)
-    with refusals(f"{target.name}/{name}", "read"):
+    with file_errors(f"{target.name}/{name}", "read"):
         if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
             return None
         with target.fs.open_input_file(f"{target.root}/{name}") as file:
             return file.read_buffer()
 
 
-def text(target: Target, name: str) -> bytes | None:
-    """Return the content under a name as Python's bytes; None if there is none."""
+def read(target: Target, name: str) -> bytes | None:
+    """Return the content under a name as bytes; None if there is none."""
     content = get(target, name)
     return None if content is None else content.to_pybytes()
 
@@ -230,7 +230,7 @@ def names(target: Target, folder: str = "") -> list[str]:
 
 def sizes(target: Target, folder: str = "") -> dict[str, int]:
     """Return the sizes [bytes] of the files of `names`."""
-    with refusals(target.name, "read"):
+    with file_errors(target.name, "read"):
         base = f"{target.root}/{folder}" if folder else target.root
         if target.local:
             _require_no_link(target, folder)
@@ -269,20 +269,20 @@ def footer(target: Target, name: str) -> pq.FileMetaData | None:
 def remove(target: Target, name: str) -> None:
     """Remove a file or a link if it exists; raise UserError if a folder in its path is a link."""
     _require_no_link(target, name.rpartition("/")[0])
-    with refusals(f"{target.name}/{name}"), suppress(FileNotFoundError):
+    with file_errors(f"{target.name}/{name}"), suppress(FileNotFoundError):
         os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
 
 
 def make(target: Target) -> None:
     """Create the target, and remove unfinished files of killed writers."""
-    with refusals(target.name):
+    with file_errors(target.name):
         target.fs.create_dir(target.root, recursive=True)
     clear(target)
 
 
 def clear(target: Target) -> None:
     """Remove unfinished files of killed writers in a target."""
-    with refusals(target.name):
+    with file_errors(target.name):
         for path in unfinished_files(target):
             path.unlink(missing_ok=True)
 
@@ -302,12 +302,12 @@ def _is_abandoned(path: Path) -> bool:
         except (PermissionError, OverflowError):
             return False
     with suppress(OSError):
-        return match is not None and time() - path.stat().st_mtime > FORGOTTEN
+        return match is not None and time() - path.stat().st_mtime > ABANDONED_AGE
     return False
 
 
 @contextmanager
-def refusals(where: str, action: str = "written") -> Iterator[None]:
+def file_errors(where: str, action: str = "written") -> Iterator[None]:
     """Convert an error of a file system to a UserError of one sentence."""
     try:
         yield

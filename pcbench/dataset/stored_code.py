@@ -22,12 +22,12 @@ from pcbench.toml_text import TomlTable
 COPY = re.compile(rf"{user_code.FOLDER}/[0-9a-f]{{{user_code.DIGITS}}}/[^/]+\.py")
 
 
-def keep(target: storage.Target, study: Study) -> None:
+def store_code(target: storage.Target, study: Study) -> None:
     """Copy the files of user-defined observers into a target, unless they are there."""
     for plugin in study._plugins.values():
         for name, text in plugin.code.files:
             path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
-            if storage.text(target, path) != text:
+            if storage.read(target, path) != text:
                 storage.write_file(target, path, text)
 
 
@@ -35,7 +35,7 @@ def files_in(target: storage.Target, table: TomlTable) -> Files:
     """Return the digests of the copies of users' code of the study in `table`."""
     folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in table["resolved"].get("code", {}).items()}
     return {
-        name: {PurePosixPath(file).name: _digest(storage.text(target, file)) for file in storage.names(target, folder)}
+        name: {PurePosixPath(file).name: _digest(storage.read(target, file)) for file in storage.names(target, folder)}
         for name, folder in folders.items()
     }
 
@@ -64,14 +64,14 @@ def copies(target: storage.Target) -> list[str]:
 def copy(target: storage.Target, into: storage.Target) -> None:
     """Copy the users' code of one dataset into another."""
     for name in copies(target):
-        if (text := storage.text(target, name)) is not None:
+        if (text := storage.read(target, name)) is not None:
             storage.write_file(into, name, text)
 
 
 def gate(target: storage.Target, table: TomlTable, run: bool) -> Gate:
     """Return what the study in `table` may access: no files, and code only if it will be `run`.
 
-    Without its code, an observer or controller has the options of the text, and a plant the facts of the text.
+    Without its code, an observer or controller has the options in [resolved], and a plant the facts in [resolved].
     Scenarios by MODULE:NAME are always refused, because the study of a dataset contains their tables.
     """
 
@@ -117,7 +117,7 @@ def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, byte
     """The files of a copy, the module first; raise UserError if they have changed."""
     names = {PurePosixPath(name).name for name in storage.names(target, str(path.parent))} - {path.name}
     order = [path.name, *sorted(name for name in names if name.endswith(".py"))]
-    files = tuple((name, storage.text(target, f"{path.parent}/{name}") or b"") for name in order)
+    files = tuple((name, storage.read(target, f"{path.parent}/{name}") or b"") for name in order)
     if user_code.digest(files) != path.parent.name:
         raise UserError(
             f"{target.name}/{path}: is gone or changed, expected the code that the runs were made with; run the study again "

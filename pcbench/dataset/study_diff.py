@@ -20,8 +20,8 @@ def changes(old_study: TomlTable, new_study: TomlTable, files: tuple[Files, File
 
     `files` are the digests of the files of users' code, on disk and here, by the names under [resolved.code].
     """
-    code = list(_code_changes(old_study, new_study, files))
-    yield from code
+    code_changes = list(_code_changes(old_study, new_study, files))
+    yield from code_changes
     old_texts, new_texts = (replace_references(study, _strip_digest) for study in (old_study, new_study))
     for key in sorted((old_study.keys() | new_study.keys()) - EXTENSIBLE):
         if old_texts.get(key) != new_texts.get(key):
@@ -49,7 +49,7 @@ def changes(old_study: TomlTable, new_study: TomlTable, files: tuple[Files, File
         if cell in new_tuned:
             yield from _nested_changes(f"options tuned at {cell}", options, new_tuned[cell], list(options))
     yield from _nested_changes("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
-    if not code:  # else that is why
+    if not code_changes:  # changed code explains changed cells
         yield from _axis_changes(old_study, new_study)
 
 

@@ -13,8 +13,8 @@ from pcbench.dataset import columns
 from pcbench.dataset.columns import Columns, words
 from pcbench.statistics import COLUMNS, ESTIMATED, VERDICT, ObserverSummary, Pair, PairResult, Results
 
-Head = dict[str, object]  # what the rows of a cell have in common, by column
-Facts = list[dict[str, dict[str, bool | None]]]  # [C] what is so of each observer, by column
+Head = dict[str, object]  # the common values of the rows of a cell, by column
+Facts = list[dict[str, dict[str, bool | None]]]  # [C] true, false or null for each observer, by column
 Signals = Sequence[tuple[str, str]]  # name and unit
 Indices = NDArray[np.int64]
 
@@ -57,8 +57,8 @@ def pairs_table(heads: list[Head], facts: Facts, signals: Signals, by_pair: Mapp
 def _table(heads: list[Head], cells: Indices, values: Columns, order: list[str]) -> pa.Table:
     """Rows with their columns in the given order: the index of each row's cell, and the other columns."""
     heads_table = columns.table({name: [head[name] for head in heads] for name in order if name not in values})
-    of_cells = heads_table.take(pa.array(cells))
-    common = {name: of_cells[name].combine_chunks() for name in heads_table.column_names}
+    cell_rows = heads_table.take(pa.array(cells))
+    common = {name: cell_rows[name].combine_chunks() for name in heads_table.column_names}
     return columns.with_intervals(columns.table({name: common.get(name, values.get(name)) for name in order}))
 
 
@@ -74,21 +74,20 @@ def _of_rows(names: Sequence[tuple[str, int]], signals: Signals, row: Indices) -
 
 def _of_observers(facts: Facts, observers: Sequence[str], cells: Indices, observer: Indices) -> dict[str, pa.Array]:
     """Columns of true, false or null, for each row by its cell and its observer."""
-    out, at = {}, pa.array(cells * len(observers) + observer)
+    out, index = {}, pa.array(cells * len(observers) + observer)
     for name in ("predicts_unknown_input", "certified"):
-        out[name] = pa.array([f[o][name] for f in facts for o in observers], pa.bool_()).take(at)
+        out[name] = pa.array([f[o][name] for f in facts for o in observers], pa.bool_()).take(index)
     return out
 
 
 def common_columns(head: Head, seeds: Indices, signals: Signals) -> dict[str, pa.Array]:
     """Return the shared columns of the tables of a cell's runs, one row per seed and signal; `head` has the keys."""
-    row = columns.table(
-        {name: [value] for name, value in head.items() if name != "scenario"}
-    )  # as `observer`: in the path
-    (names, units), at = zip(*signals, strict=True), np.tile(np.arange(len(signals)), len(seeds))
-    out = {name: pa.repeat(row[name][0], len(at)) for name in row.column_names}
+    # without scenario and observer, which are in the path
+    row = columns.table({name: [value] for name, value in head.items() if name != "scenario"})
+    (names, units), index = zip(*signals, strict=True), np.tile(np.arange(len(signals)), len(seeds))
+    out = {name: pa.repeat(row[name][0], len(index)) for name in row.column_names}
     seed_column = pa.array(np.repeat(seeds, len(signals)), pa.int64())
-    return out | {"seed": seed_column, "signal": words(names, at), "unit": words(units, at)}
+    return out | {"seed": seed_column, "signal": words(names, index), "unit": words(units, index)}
 
 
 def runs_table(common: Mapping[str, pa.Array], results: Results, predicts_unknown_input: bool | None) -> pa.Table:

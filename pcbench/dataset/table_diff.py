@@ -35,9 +35,8 @@ def difference(a: pa.Table, b: pa.Table) -> Difference | None:
         u, v = map(np.nan_to_num, numbers)
         deviation, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
         relative = deviation / np.where(larger > 0, larger, 1)
-        worst = Difference(
-            *map(max, worst, (float(relative.max()), float((deviation / _in_unit_of(name, size)).max())))
-        )
+        of_largest = deviation / _in_unit_of(name, size)
+        worst = Difference(*map(max, worst, (float(relative.max()), float(of_largest.max()))))
     return worst
 
 

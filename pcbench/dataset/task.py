@@ -26,7 +26,7 @@ from pcbench.plants import signals_of
 from pcbench.runtime import config, provenance
 from pcbench.study.grid import Cell
 
-ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 measured
 
 
 class Work(NamedTuple):
@@ -82,7 +82,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     start, target = perf_counter(), storage.target(work.out)
     blocks = {} if call else dict(files(work, task, p, results))
     for name, table in blocks.items():
-        storage.put_table(target, name, table, durable=False)  # `run_missing` sees to that, once for all
+        storage.put_table(target, name, table, durable=False)  # `run_missing` syncs the names of all blocks at the end
     cost = timing.Cost(
         runs=task.runs,
         compiled={(config.name(), program.number): program.compile_seconds},

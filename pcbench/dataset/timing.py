@@ -9,7 +9,7 @@ import numpy as np
 
 from pcbench.engine import runner
 
-FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of the calls that are timed
+FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # [ticks], [s], [s]; see `seconds`
 
 
 def seconds(program: runner.Program, job: runner.Job) -> float:
@@ -45,7 +45,7 @@ class Cost(NamedTuple):
     planning_seconds: float = 0.0  # of this thread: designs, and the laying out of cells
     computing_seconds: float = 0.0  # of all threads that compute
     writing_seconds: float = 0.0  # of all that write
-    exact_seconds: float = 0.0  # of what has an exact answer, from planning to files; 0: there was nothing to do
+    exact_seconds: float = 0.0  # of exact results, from planning to files; 0: they existed
 
     @property
     def compile_seconds(self) -> float:

@@ -31,7 +31,7 @@ LOST = 1e-14  # of the peak
 class ExactValidation(NamedTuple):
     """The result of the comparison."""
 
-    rows: pd.DataFrame  # KEY, n, mean, se, exact, z (as normal), apart: relative, where runs do not vary
+    rows: pd.DataFrame  # KEY, n, mean, se, exact, z (normal), deviation (relative, if the runs do not vary)
     refusals: list[str]  # why an observer has no exact value, a sentence each
     limit: float  # the largest |z| that so many comparisons allow
 
@@ -43,7 +43,7 @@ class ExactValidation(NamedTuple):
     @property
     def wrong(self) -> pd.DataFrame:
         """Return the rows that differ more than chance allows."""
-        return self.rows[(self.rows.z.abs() > self.limit) | (self.rows.apart > ROUNDING)]
+        return self.rows[(self.rows.z.abs() > self.limit) | (self.rows.deviation > ROUNDING)]
 
     @property
     def verdict(self) -> str:
@@ -93,4 +93,4 @@ def compare_means(joint: pd.DataFrame) -> pd.DataFrame:
     relative = np.where(
         varies | (size <= zero), 0.0, np.maximum(diff.abs() - tolerance, 0.0) / np.where(size > 0, size, 1.0)
     )
-    return joint.assign(z=z, apart=relative)
+    return joint.assign(z=z, deviation=relative)

@@ -37,7 +37,7 @@ from pcbench.study.serialize import digest
 from pcbench.synthesis.certificate import is_certified
 
 FAIR = "fair.parquet"  # of a study with several tunings
-BESIDE = ("examples/", f"{moments_tables.FOLDER}/")
+OPTIONAL = ("examples/", f"{moments_tables.FOLDER}/")
 T = TypeVar("T")
 
 
@@ -48,9 +48,9 @@ class Share(NamedTuple):
     observer: str
     cells: int
     blocks: int
-    seeds: int  # that stand, over all cells
-    wanted: int  # that the study names
-    certified: bool | None  # whether something proves its gains, as its first block says; None: it has none
+    seeds: int  # computed, over all cells
+    wanted: int  # required by the study
+    certified: bool | None  # whether its gains have a certificate, from its first block; None: no gains
 
 
 class Status(NamedTuple):
@@ -62,7 +62,7 @@ class Status(NamedTuple):
     doubled: list[str]
     unfinished: list[str]  # of killed writers
     bytes: int
-    closed: bool  # the closing tables stand, and are of these blocks
+    closed: bool  # the closing tables exist, and belong to these blocks
 
 
 def status(out: str | Path) -> Status:
@@ -115,7 +115,7 @@ class Verdict(NamedTuple):
     recomputed: list[str]  # blocks
     differing: list[str]  # a sentence each
     exact: list[str]  # cells whose exact numbers were computed again
-    unlike: list[str]  # a sentence for each of them that has others now
+    unlike: list[str]  # a sentence for each of them that was not reproduced
 
 
 def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
@@ -164,7 +164,7 @@ def _changed_files(target: storage.Target, claim: StudyClaim) -> Iterator[str]:
     record = close.record(target)
     if record and record["study_sha256"] != digest(claim.study, claim.cells):
         yield f"{manifest.TEXT}: is not of the study that was run; run that study again to write it again."
-    for name in [n for n in storage.names(target) if n.startswith(BESIDE) or n in (FAIR, moments_tables.NAME)]:
+    for name in [n for n in storage.names(target) if n.startswith(OPTIONAL) or n in (FAIR, moments_tables.NAME)]:
         if parquet_io.unseal_table(storage.get(target, name)) is None:
             yield f"{name}: has changed; remove it, and run the study again."
 
@@ -225,9 +225,8 @@ def _difference(b: Block, old_table: pa.Table, new_table: pa.Table) -> Iterator[
     """Yield the differences of a block from the recomputed one: its rows to the bit, then its metadata."""
     old, new = (block_files.about(table) for table in (old_table, new_table))
     if old_table.equals(new_table):
-        if [
-            k for k in old.keys() | new.keys() if k not in ("versions", "digest", "engine") and old.get(k) != new.get(k)
-        ]:
+        keys = (old.keys() | new.keys()) - {"versions", "digest", "engine"}
+        if any(old.get(k) != new.get(k) for k in keys):
             yield f"{b.name}: its rows are reproduced, its metadata are not."
         return
     deviation = difference(old_table, new_table)

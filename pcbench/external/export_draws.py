@@ -113,7 +113,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         claim = manifest.claim(target, grid)
         plans = [runs.plan_without_observers(cell) for cell in claim.cells]
         storage.make(target)
-        if storage.text(target, manifest.TEXT) is None:
+        if storage.read(target, manifest.TEXT) is None:
             manifest.renew(target, claim)
         seeds = grid.study.first_seed + np.arange(grid.study.seeds)
         progress.begin("runs", len(seeds) * len(plans))

@@ -115,7 +115,7 @@ def extend_study(target: storage.Target, name: str) -> Grid:
             f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
             "observers; write another, such as matlab-ekf."
         )
-    text = storage.text(target, manifest.TEXT)
+    text = storage.read(target, manifest.TEXT)
     if text is None:
         raise UserError(
             f"{target.name}: holds no study, expected a folder that pcbench external prepare has written; name that one."

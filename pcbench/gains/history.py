@@ -161,7 +161,7 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
     `task` describes the finished tuning, `about` and `basis` its history.
     """
     try:
-        study = toml_text.parse(storage.text(target, FOUND) or b"")
+        study = toml_text.parse(storage.read(target, FOUND) or b"")
         record = study.pop("resolved")["tuning"]
         if record.pop("about") != task:
             return None

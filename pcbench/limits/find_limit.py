@@ -203,7 +203,7 @@ class Refusals(NamedTuple):
 def stored_values(folder: str | Path, q: Question) -> list[float]:
     """Return the values of the axis already stored in a folder; empty if it contains no study."""
     target = storage.target(str(folder))
-    if storage.text(target, manifest.TEXT) is None:
+    if storage.read(target, manifest.TEXT) is None:
         return []
     return [q.axis.number(value) for value in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 
@@ -229,7 +229,7 @@ def _run(
         cells = _by_value(q, grid.cells)
         new_seeds = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
         try:
-            return run_study.execute(grid, folder, how._replace(more=new_seeds))
+            return run_study.execute(grid, folder, how._replace(min_seeds=new_seeds))
         except DesignError:
             failures = {(o, v): _without_gains(cell, o) for v, cell in cells.items() for o in cell.options}
             if not any(failures.values()):

@@ -17,7 +17,7 @@ from itertools import pairwise
 from math import ceil, isfinite, sqrt
 from typing import Any, NamedTuple
 
-from pcbench.dataset.adaptive_seeds import GROWTH, METRICS, enough
+from pcbench.dataset.adaptive_seeds import GROWTH, METRICS, seeds_for
 from pcbench.dataset.columns import AXIS_UNITS, unit_of
 from pcbench.errors import UserError, short, unknown
 from pcbench.fields import FIELDS
@@ -130,7 +130,7 @@ def _seeds_needed(p: Point, limit: float) -> int:
         return GROWTH * p.runs
     if side == 0:  # the runs do not vary, and equal the threshold
         return p.runs
-    return max(enough(p.runs, side, max(gap, side / GROWTH)), ceil(LEAST * p.runs))
+    return max(seeds_for(p.runs, side, max(gap, side / GROWTH)), ceil(LEAST * p.runs))
 
 
 ONE = re.compile(r"(.+)\[(\d+)\]")

@@ -113,15 +113,17 @@ def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
 @pytest.mark.parametrize(("has", "error", "goal"), [(64, 0.3, 0.1), (100, 0.11, 0.1), (256, 0.05, 0.013)])
 def test_so_many_seeds_are_asked_for_that_the_error_reaches_its_goal_by_its_root_with_a_margin(has, error, goal):
     """The error falls with the root of the seeds: with as many as are asked for it is 2.5 % below the goal, no more."""
-    then = error * np.sqrt(has / adaptive_seeds.enough(has, error, goal))
+    then = error * np.sqrt(has / adaptive_seeds.seeds_for(has, error, goal))
     assert 0.97 * goal < then < 0.98 * goal
-    assert adaptive_seeds.enough(has, goal, goal) == has
-    assert adaptive_seeds.enough(has, 0.9 * goal, goal) == has
-    assert adaptive_seeds.enough(has, 100 * goal, goal) == adaptive_seeds.GROWTH * has, "a round adds so much at most"
+    assert adaptive_seeds.seeds_for(has, goal, goal) == has
+    assert adaptive_seeds.seeds_for(has, 0.9 * goal, goal) == has
+    assert adaptive_seeds.seeds_for(has, 100 * goal, goal) == adaptive_seeds.GROWTH * has, (
+        "a round adds so much at most"
+    )
 
 
 def test_one_seed_is_no_standard_error():
-    assert adaptive_seeds.enough(1, np.inf, 0.1) == adaptive_seeds.GROWTH
+    assert adaptive_seeds.seeds_for(1, np.inf, 0.1) == adaptive_seeds.GROWTH
 
 
 def test_stopping_at_a_standard_error_hardly_narrows_the_intervals():
@@ -130,7 +132,7 @@ def test_stopping_at_a_standard_error_hardly_narrows_the_intervals():
     for _ in range(repeats):
         values = rng.gamma(4.0, size=256)
         row = statistics.size(values)
-        more = adaptive_seeds.enough(len(values), row["se"], 0.07)
+        more = adaptive_seeds.seeds_for(len(values), row["se"], 0.07)
         values = np.concatenate([values, rng.gamma(4.0, size=more - len(values))])
         row = statistics.size(values)
         held += row["ci_low"] <= 4.0 <= row["ci_high"]

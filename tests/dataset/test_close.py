@@ -57,7 +57,7 @@ def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monke
     there, owned = [b for b in known if (b.cell, b.seeds.first) != (4, 0)], manifest.load_manifest(place)
     tables = []
     for many in (1, 2, 32):
-        monkeypatch.setattr(close, "TOGETHER", many)
+        monkeypatch.setattr(close, "BATCH", many)
         tables.append([parquet_io.parse_table(content) for content in close.closing_tables(place, owned, there)[1:3]])
     stats = tables[0][0].to_pandas()
     assert set(stats[stats.diverged > 0].cell) == {2}

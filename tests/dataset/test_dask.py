@@ -75,7 +75,7 @@ def test_a_mistake_on_a_worker_is_its_sentence():
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "tcp:/x"])
 def test_a_scheduler_that_is_not_there_is_one_sentence(address, monkeypatch):
-    monkeypatch.setattr(executors, "PATIENCE", "1s")
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", "1s")
     with pytest.raises(UserError, match="--dask: got") as caught, executors.dask(address):
         pass
     assert "\n" not in str(caught.value)
@@ -113,7 +113,7 @@ def echo(task, hold):
 @pytest.mark.slow
 def test_workers_that_end_for_good_end_the_study_in_a_sentence(monkeypatch):
     """It waited for ever."""
-    monkeypatch.setattr(executors, "ALONE", "3s")
+    monkeypatch.setattr(executors, "NO_WORKER_TIMEOUT", "3s")
     with executors.dask("local", 1) as execute:
         assert list(execute(echo, [1, 2])) == [1, 2]
         with pytest.raises(UserError, match="all workers have ended and none restarted"):

@@ -95,7 +95,7 @@ def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
 
 @pytest.mark.ci
 def test_a_study_of_many_grid_points_has_no_file_for_each_and_the_same_tables(out, tmp_path, monkeypatch):
-    monkeypatch.setattr(moments_tables, "MOST", 1)
+    monkeypatch.setattr(moments_tables, "MAX_CELLS", 1)
     many = pcbench.run(STUDY, evaluation="exact", out=tmp_path / "many")
     assert not (tmp_path / "many" / "moments").exists()
     assert many.moments.empty

@@ -99,7 +99,7 @@ MISTAKES = [
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=str)
 def test_a_mistake_beside_fresh_removes_nothing(copy, mistake, monkeypatch):
-    monkeypatch.setattr(executors, "PATIENCE", "1s")
+    monkeypatch.setattr(executors, "CONNECT_TIMEOUT", "1s")
     before = tables(copy)
     with pytest.raises(UserError) as caught:
         pcbench.run(STUDY | {"seeds": 8}, out=copy, overwrite=True, **mistake)

@@ -101,7 +101,7 @@ def test_a_refusal_is_one_sentence_and_keeps_the_old_file(place, monkeypatch, ca
         storage.put_json(place, "a.json", {"new": 1})
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    assert storage.text(place, "a.json") == b'{\n  "old": 1\n}\n'
+    assert storage.read(place, "a.json") == b'{\n  "old": 1\n}\n'
     assert storage.names(place) == ["a.json"]
     assert [p.name for p in Path(place.root).iterdir()] == ["a.json"], "nothing unfinished is left"
 
@@ -153,7 +153,7 @@ def test_two_writers_of_one_name_leave_one_whole_file(place):
         t.start()
     for t in threads:
         t.join()
-    assert storage.text(place, "runs/a.parquet") == content
+    assert storage.read(place, "runs/a.parquet") == content
     assert storage.names(place) == ["runs/a.parquet"]
 
 

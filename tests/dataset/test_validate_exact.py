@@ -45,7 +45,7 @@ def test_runs_that_do_not_vary_must_be_equal_and_zero_is_zero():
         metric=["mae", "mae", "final_error", "steady_mse"],
     )  # fmt: skip
     assert found.z.isna().all()
-    assert (found.apart > validate_exact.ROUNDING).tolist() == [False, True, False, False]
+    assert (found.deviation > validate_exact.ROUNDING).tolist() == [False, True, False, False]
 
 
 def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
@@ -56,7 +56,7 @@ def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
         "exact": [4.9e-11, 2.9e-21, 1e-8 + 3e-17, 1.00001e-8, 4.0001],
     }
     found = rows(**columns, max_abs_error=[3.2e4, 3.2e4, 1.0, 1.0, 3.2e4])
-    assert (found.apart > validate_exact.ROUNDING).tolist() == [False, False, False, True, True]
+    assert (found.deviation > validate_exact.ROUNDING).tolist() == [False, False, False, True, True]
 
 
 def checked(z):

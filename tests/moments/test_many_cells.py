@@ -31,7 +31,7 @@ def test_of_many_cells_each_has_the_numbers_that_it_has_alone(observer, drift):
     many = pcbench.exact_moments(study)
     assert many.stats["method"].ne("none").any()
     noises = study["axes"]["noise_std"]
-    solved = {m.plan.cell.number: m for m in many.solved(many.grid.cells, "std", POINTS)}
+    solved = {m.plan.cell.number: m for m in many.solve_cells(many.grid.cells, "std", POINTS)}
     for cell in (0, len(noises) - 1):
         one = pcbench.exact_moments(study | {"axes": study["axes"] | {"noise_std": [noises[cell]]}})
         mine = many.stats.query("cell == @cell").reset_index(drop=True)

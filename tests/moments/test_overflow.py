@@ -52,7 +52,7 @@ def test_an_observer_that_overflows_leaves_the_others_as_they_are():
 )
 def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affine(run, said):
     """As of a sliding mode, whose slope is wild and whose runs are not: it was said to leave its bound."""
-    (m,) = pcbench.exact_moments(study({}, "kf")).solved(parse.grid(study({}, "kf"), "", parse.FROM_HERE).cells)
+    (m,) = pcbench.exact_moments(study({}, "kf")).solve_cells(parse.grid(study({}, "kf"), "", parse.FROM_HERE).cells)
     assert exactness.refusal(m, "kf") == ""
     size, beyond = np.full_like(m.sums.size, run), np.full_like(m.sums.size, np.inf)
     sums = m.sums._replace(size=size, deviation=beyond, reach=beyond)
