@@ -9,7 +9,7 @@ from loops import Q1, Q2, study
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.study.parse import grid_of, unstable
+from pcbench.study.parse import grid_of, stability_warnings
 
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
 FEEDBACK = {"use": "state-feedback", "K": [[2.0, 1.2, 0.1], [0.3, -0.4, -0.5]]}
@@ -74,23 +74,23 @@ def test_what_the_scenario_cannot_have_is_one_sentence(tmp_path):
     ],
 )
 def test_a_loop_that_does_not_settle_is_told_so_by_its_eigenvalue(controller, mode):
-    (sentence,) = unstable(grid_of(study(controller), {}, []))
+    (sentence,) = stability_warnings(grid_of(study(controller), {}, []))
     assert "does not stabilise the plant of lti" in sentence
     assert mode in sentence
-    assert unstable(grid_of(study(FEEDBACK | {"actuator_delay": 0.02}), {}, [])) == []
+    assert stability_warnings(grid_of(study(FEEDBACK | {"actuator_delay": 0.02}), {}, [])) == []
 
 
 def test_lqr_that_knows_its_delay_is_stable_however_late_and_without_knowing_it_is_not():
     for knows, many in ((True, 0), (False, 1)):
         raw = study(LQR | {"actuator_delay": 0.9, "knows_delay": knows})
-        assert len(unstable(grid_of(raw, {}, []))) == many
+        assert len(stability_warnings(grid_of(raw, {}, []))) == many
 
 
 def test_the_guides_table_closes_the_loop_of_the_cart():
     (block,) = blocks("toml", "closed_loops.md")
     found = grid_of({"name": "t", "scenarios": ["cart/white"]} | tomllib.loads(block), {}, [])
     assert found.cells[0].values["command_loss"] == 0.05
-    assert unstable(found) == []
+    assert stability_warnings(found) == []
 
 
 @pytest.mark.nightly
