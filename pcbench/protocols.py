@@ -23,7 +23,7 @@ Memory = PyTree  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[ArrayLike], ArrayLike]  # of a closed loop: t [s], an array -> tau [s]
 
 
-TOGETHER = "pcbench_together"  # the name by which simulations recognise a function that `vmap_as_unit` returned
+UNIT_NAME = "pcbench_together"  # the name by which simulations recognise a function that `vmap_as_unit` returned
 
 
 def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
@@ -42,7 +42,7 @@ def vmap_as_unit(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
     def wrapper(*args: PyTree) -> PyTree:
         return f(*args)
 
-    wrapper.__name__ = TOGETHER  # unlike the name of any user's function
+    wrapper.__name__ = UNIT_NAME  # unlike the name of any user's function
     return jax.jit(wrapper)
 
 
@@ -69,7 +69,7 @@ class Arrival(NamedTuple):
     mask: Bool[Array, " q"]  # whether the channel has arrived
     age: Int[Array, " q"]  # ticks since the sample was taken, according to its timestamp
     index: Int[Array, " q"]  # type: ignore[assignment]  # index of the sample in its channel (0 is the first)
-    snapshot: Float[Array, " noted"]  # result of `snapshot` at the tick at which the timestamp puts the sample
+    snapshot: Float[Array, " snapshot"]  # result of `snapshot` at the tick at which the timestamp puts the sample
     # ticks since the last tick at which a measurement arrived (from tick 0 before the first)
     ticks_since_arrival: Int[Array, ""]
     # noise variance of each value divided by the variance assumed in the design; None unless a recording contains variances
@@ -185,10 +185,10 @@ class Init(Protocol):
     def __call__(self, gains: Gains, xhat0: Float[Array, " n"], /) -> Memory: ...
 
 
-class Note(Protocol):
+class Snapshot(Protocol):
     """Return the snapshot of the present tick that `jump` needs when the sample taken now arrives."""
 
-    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " noted"]: ...
+    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " snapshot"]: ...
 
 
 class Jump(Protocol):
@@ -275,7 +275,7 @@ class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
     init: Init  # the memory at the start of a run
-    snapshot: Note  # called when a sample is taken: what `jump` needs of that tick
+    snapshot: Snapshot  # called when a sample is taken: what `jump` needs of that tick
     jump: Jump  # called when a measurement arrives
     flow: Flow  # called at each tick: moves the memory to the next tick
     estimate: Estimate  # the estimate of the present state

@@ -26,7 +26,7 @@ from pcbench.planning import loop_setup
 from pcbench.plants import estimated_of, nonlinear, states_of
 from pcbench.protocols import Controller, Now
 from pcbench.scenarios import Scenario
-from pcbench.simulation import law_conformance
+from pcbench.simulation import controller_shape_checks
 from pcbench.study import controller_table
 from pcbench.study.axes import COMMANDS
 from pcbench.study.grid import cell_of
@@ -128,7 +128,9 @@ def numbers_are_arrays(t: Trial) -> str:
 def shapes(t: Trial) -> str:
     """Check the shapes: one command per input, set points of the first states, and memory of unchanged shape."""
     n, m = t.context.model.B.shape
-    law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(estimated_of(t.scenario)) - n, m))
+    controller_shape_checks.check(
+        t.label, t.law, numbers(t), controller_shape_checks.Sizes(n, len(estimated_of(t.scenario)) - n, m)
+    )
     return f"{', '.join(functions(t))} return arrays of the right shapes"
 
 

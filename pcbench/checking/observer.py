@@ -105,7 +105,7 @@ def none(p: GridPointParams) -> Shift:
 def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
     """Record a run of the observer with the parameters `p` and shifted packets; there is room for all packets at once."""
     quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
-    layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.notes), False)
+    layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.snapshots), False)
     return trajectory.jit_record()(layout, quiet, np.asarray(0), np.asarray(0), shift)
 
 

@@ -140,7 +140,7 @@ def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Ca
     draft = planning.draft(cell, {}, context)
     p, n, q = draft.problem, context.ticks, len(scenario.sampling.delay)
     if spacing is not None:
-        samples = common_times.samples(times.clocks(scenario), n)
+        samples = common_times.samples_of(times.clocks(scenario), n)
         delayed = [s._replace(arrives=s.arrives + (3 * spacing // 2 if s.number % 3 == 1 else 0)) for s in samples]
         context = context._replace(
             oosm_lag=common_times.max_oosm_lag(delayed),

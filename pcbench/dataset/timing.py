@@ -20,7 +20,7 @@ def seconds(program: runner.Program, job: runner.Job) -> float:
     The first ticks are faster than later ones, because no measurement has arrived, so this is a lower estimate. The
     reference engine cannot end a call early, and the result is 0.
     """
-    if program.layout.defined:
+    if program.layout.by_definition:
         return 0.0
     n_ticks, previous = int(job.problem.windows[-1, 1]), (0, 0.0)
     end, rest_seconds = FIRST, 0.0

@@ -17,12 +17,12 @@ from pcbench.engine.initial_state import begin
 from pcbench.engine.steps import Happen, any_is_notified, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurements
 from pcbench.simulation.measurements import Noise
-from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, PerLane, State
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, Snapshots, State
 
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return the function that applies a tick's events to a block of runs, and the state before tick 0."""
-    noise = measurements.noise_sampler(p, root_seed, seeds, apart=True)
+    noise = measurements.noise_sampler(p, root_seed, seeds, barrier=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 
@@ -33,7 +33,7 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
     A packet whose assumed sampling tick is before tick 0 carries the snapshot of the initial state.
     """
     one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
-    values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
+    values, snapshots = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
     def write(rings: PyTree, packet: tuple[Array, Array]) -> tuple[PyTree, None]:
         place, numbers = packet
@@ -43,7 +43,7 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
 
     if count := p.schedule.early.shape[0]:
         values, _ = lax.scan(write, values, (jnp.arange(count), p.schedule.early))
-    return state._replace(flight=Packet(values, notes))
+    return state._replace(flight=Packet(values, snapshots))
 
 
 def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: State) -> State:
@@ -63,13 +63,13 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
     def sense() -> PerLane:
         return measure(layout, p, k, state, lane_array.split(noise(channels, plan.sample[k])))
 
-    def take_snapshots() -> Notes:
+    def take_snapshots() -> Snapshots:
         return snapshot(layout, p, k, state)
 
-    values, notes = state.flight
-    flight = Packet(write(values, plan.sense[k], sense), write(notes, plan.snapshot[k], take_snapshots))
+    values, snapshots = state.flight
+    flight = Packet(write(values, plan.sense[k], sense), write(snapshots, plan.snapshot[k], take_snapshots))
     for i in range(plan.extra_snapshots.shape[1]):
-        flight = flight._replace(notes=write(flight.notes, plan.extra_snapshots[k, i], take_snapshots))
+        flight = flight._replace(snapshots=write(flight.snapshots, plan.extra_snapshots[k, i], take_snapshots))
 
     def notify_observers() -> PyTree:
         return lane_array.match_form(

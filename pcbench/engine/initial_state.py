@@ -53,8 +53,8 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
     size = {label: xhat.shape[0] + layout.plant.scored for label, xhat in steps.estimates(layout, p, state).items()}
     state = state._replace(
         flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
-        streams={label: metrics.start(n) for label, n in size.items()},
-        watches=simulate_runs.start_watches(layout, size),
+        streams={label: metrics.zero_sums(n) for label, n in size.items()},
+        watches=simulate_runs.initial_settling_states(layout, size),
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
     ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))

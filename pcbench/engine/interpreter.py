@@ -30,7 +30,7 @@ from pcbench.engine.lane_array import (
     table,
     to_form,
 )
-from pcbench.protocols import TOGETHER
+from pcbench.protocols import UNIT_NAME
 
 
 def vmap_entrywise(f: Callable[..., PyTree]) -> Callable[..., PyTree]:
@@ -60,7 +60,7 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     name, forms = eqn.primitive.name, list(map(form_of, args))
     if name in CALLS:
         program = jaxpr_compat.callee(eqn.params)
-        as_unit = jaxpr_compat.callee_name(eqn.params) == TOGETHER and any(forms)
+        as_unit = jaxpr_compat.callee_name(eqn.params) == UNIT_NAME and any(forms)
         return _apply_vmap(program, args) if as_unit else _evaluate(program.jaxpr, program.consts, args)
     if name == "scan" and jaxpr_compat.scan(eqn.params).length:
         return _scan(eqn, args)

@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 from pcbench.engine import jaxpr_compat
 from pcbench.engine.jaxpr_compat import CALLS, STRUCTURAL, ClosedJaxpr, Eqn, Literal
 from pcbench.engine.lane_array import ENTRIES, SAME, TABLE, form_of, is_lanes
-from pcbench.protocols import TOGETHER
+from pcbench.protocols import UNIT_NAME
 
 MANY = 32  # rows from which on a result of `vmap_as_unit` is stored as a table
 Forms = Sequence[int]
@@ -43,7 +43,7 @@ def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
     name = eqn.primitive.name
     if name in CALLS:
         forms = forms_of(jaxpr_compat.callee(eqn.params), args)
-        is_unit = jaxpr_compat.callee_name(eqn.params) == TOGETHER
+        is_unit = jaxpr_compat.callee_name(eqn.params) == UNIT_NAME
         return (
             [_as_unit(v.aval) if form else SAME for v, form in zip(eqn.outvars, forms, strict=True)]
             if is_unit

@@ -20,7 +20,7 @@ from pcbench.simulation import measurements
 from pcbench.simulation.schedule.common_times import NEVER
 from pcbench.simulation.schedule.event_table import EventTable, event_table
 from pcbench.simulation.schedule.random_times import ClockParams
-from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Notes, Packet, State
+from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, Snapshots, State
 
 CHUNK = 32  # lanes extracted together; 128 take 1.2 times as long with jitter, 1.6 times with out-of-sequence samples
 
@@ -44,7 +44,7 @@ class Flight(NamedTuple):
     """Packets on the network, in rings by row of each run's event table, and the progress of the queues."""
 
     values: Array  # [q, R, L]
-    notes: Array  # [size of all snapshots, R, L]
+    snapshots: Array  # [size of all snapshots, R, L]
     progress: Progress
 
 
@@ -68,7 +68,7 @@ class Events(NamedTuple):
     arrivals: Queue
     noise: list[Array]  # by channel [M, L], standard normal; then the other draws of a sample, by channel
     memory_packing: packing.Packing
-    first_notes: Notes  # of the initial state; all snapshots have this shape
+    first_snapshots: Snapshots  # of the initial state; all snapshots have this shape
 
     @property
     def rows(self) -> int:
@@ -106,10 +106,10 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
         memory_packing=packing.packing(
             lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories
         ),
-        first_notes=snapshot(layout, p, zero, state),
+        first_snapshots=snapshot(layout, p, zero, state),
     )
     n_early = (snapshots.time < 0).sum()  # assumed to be from before tick 0: the snapshot is that of the initial state
-    rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
+    rings = _rings(layout, state.flight.values), _rings(layout, events.first_snapshots)
     flight = Flight(*rings, Progress(zero, n_early, zero))
     return events, state._replace(memories=events.memory_packing.pack(state.memories), flight=flight)
 
@@ -130,13 +130,13 @@ def _take(events: Events, k: Array, state: State) -> State:
         )
         values = _write(flight.values, sample_chunk, _measure_runs(events, k, state, sample_chunk))
         view = _view_of_runs(events, state, snapshot_chunk)
-        notes = _write(flight.notes, snapshot_chunk, snapshot(events.layout, events.p, k, view))
+        ring = _write(flight.snapshots, snapshot_chunk, snapshot(events.layout, events.p, k, view))
         if notifies:
             memories = _notify_observers(events, k, state._replace(memories=memories), sample_chunk)
         progress = Progress(
             progress.samples + sample_chunk.size, progress.snapshots + snapshot_chunk.size, progress.arrivals
         )
-        return Flight(values, notes, progress), memories
+        return Flight(values, ring, progress), memories
 
     flight, memories = lax.while_loop(due, step, (state.flight, state.memories if notifies else ()))
     return state._replace(flight=flight, memories=memories if notifies else state.memories)
@@ -178,8 +178,8 @@ def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing
     """Return the memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     packet_row = _at(events.table.packet, c.row, c.lane)
-    values, notes = (ring.at[:, packet_row % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
-    packet = Packet(lane_array.split(values), _unflat(notes, events.first_notes))
+    values, snapshots = (ring.at[:, packet_row % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
+    packet = Packet(lane_array.split(values), _unflat(snapshots, events.first_snapshots))
     view = _view_of_runs(events, state, c)
     memories = jump(layout, events.p, k, view, _row(events, k, c, packet_row), packet)
     return packing.put_back(
@@ -201,7 +201,7 @@ def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Arra
 
     Drawn in advance: the hash of a draw takes longer for a chunk of lanes than its jump.
     """
-    noise, index = measurements.noise_sampler(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
+    noise, index = measurements.noise_sampler(p, root_seed, seeds, barrier=True), jnp.arange(times.due.shape[1])
     channels = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(channels[0].shape[1]) for rows in channels]
 
@@ -223,7 +223,7 @@ def _row(events: Events, k: Array, c: Chunk, packet_row: Array) -> ArrivalInfo:
     """Return mask, age and sample numbers of the packets that arrive."""
     plan, number = events.table, _of_channels(events, events.table.number, packet_row, c.lane)
     return ArrivalInfo(
-        mask=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
+        mask=lane_array.split(_of_channels(events, plan.mask, c.row, c.lane)),
         age=lane_array.split(
             jnp.broadcast_to(k - jnp.maximum(_at(plan.timestamp, packet_row, c.lane), 0), number.shape)
         ),

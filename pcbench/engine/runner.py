@@ -108,7 +108,7 @@ def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: t
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
 
     def simulate(p: GridPointParams, root_seed: Array, seeds: Array, schedules: PyTree) -> RunSums:
-        if layout.defined:
+        if layout.by_definition:
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds)
 

@@ -14,16 +14,16 @@ from jaxtyping import PyTree
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.protocols import Arrival
 from pcbench.simulation import metrics, simulate_runs
-from pcbench.simulation.closed_loop import off_target
+from pcbench.simulation.closed_loop import tracking_error
 from pcbench.simulation.simulate_runs import Run, freeze_diverged
 from pcbench.simulation.types import (
     ArrivalInfo,
     GridPointParams,
     Layout,
     Memories,
-    Notes,
     Packet,
     PerLane,
+    Snapshots,
     State,
     params_of,
     present,
@@ -78,7 +78,7 @@ def measure(layout: Layout, p: GridPointParams, k: Array, state: State, noise: P
     return vmap_entrywise(one_lane)(k, state.x, state.plant_draws, noise)
 
 
-def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Notes:
+def snapshot(layout: Layout, p: GridPointParams, k: Array, state: State) -> Snapshots:
     """Return the snapshot of every observer at tick k."""
     return vmap_entrywise(partial(simulate_runs.take_snapshots, layout, p))(k, state.memories, state.commands)
 
@@ -108,7 +108,7 @@ def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: Arriva
         arrival = partial(
             Arrival, packet.values, row.mask, row.age, row.number, ticks_since_arrival=row.ticks_since_arrival
         )
-        memories = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
+        memories = simulate_runs.jump(layout, p, k, lane.run, packet.snapshots, arrival)
         return freeze_diverged(layout, lane.run, memories, lane.memories)
 
     return vmap_entrywise(one_lane)(k, observer_view(layout, state), row, packet)
@@ -154,8 +154,8 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
         k: Array, e: PyTree, intervals: PyTree, streams: PyTree, watches: PyTree, tracking: PyTree, x: Array
     ) -> PyTree:
         if layout.controller and state.tracking:
-            tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
-        new_streams = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
+            tracking = metrics.add_error(tracking, tracking_error(layout.controller, p, k, x))
+        new_streams = {label: metrics.add_error(stream, e[label]) for label, stream in streams.items()}
         new_watches = {
             label: metrics.update_settling(w, k, e[label], p.band, p.bound, p.jumps, intervals.get(label, ()))
             for label, w in watches.items()

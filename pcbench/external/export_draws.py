@@ -154,7 +154,7 @@ def _keys(p: Plan, many: int, **more: object) -> dict[str, object]:
 
 def _samples(p: Plan, run: runs.Run) -> dict[str, object]:
     dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
-    sampling_ticks = np.array([s.stamp(p.cell.times.error) for s in run.samples])
+    sampling_ticks = np.array([s.assumed_tick(p.cell.times.error) for s in run.samples])
     arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
     return _keys(p, len(sampling_ticks), seed=run.seed) | {
         "channel": [s.channel + 1 for s in run.samples],

@@ -65,7 +65,7 @@ def _run_batch(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Ru
     empty_schedule = common_times.schedule([], end, q)
     problem, root = p.problem._replace(schedule=empty_schedule), np.asarray(root_seed)
     layout = p.layout._replace(observers=(), consistency=False)
-    x = np.asarray(trajectory.compiled_some()(layout, 1, end + 1, problem, root, seeds).x)
+    x = np.asarray(trajectory.jit_record_some()(layout, 1, end + 1, problem, root, seeds).x)
     first = _starts(layout, problem, root, seeds)
     samples_by_run = [_samples(p, root_seed, int(seed)) for seed in seeds]
     times = [{tick: row for row, tick in enumerate(sorted({s.tick for s in samples}))} for samples in samples_by_run]
@@ -94,5 +94,5 @@ def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: N
 def _samples(p: Plan, root_seed: int, seed: int) -> list[common_times.Sample]:
     clocks, ticks = p.cell.times.clocks, p.cell.times.ticks
     if not p.cell.times.random:
-        return [s for s in common_times.samples(clocks, ticks) if s.tick <= ticks]
+        return [s for s in common_times.samples_of(clocks, ticks) if s.tick <= ticks]
     return random_times.draw_samples(clocks, ticks, len(p.problem.noise_std), root_seed, seed)

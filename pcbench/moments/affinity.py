@@ -113,14 +113,16 @@ def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
 @by_shapes
 def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
     zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _initial_shapes(layout, p)
-    notes = jax.eval_shape(lambda p, r: simulate_runs.take_snapshots(layout, p, zero, r.memories, r.commands), p, run)
+    snapshots = jax.eval_shape(
+        lambda p, r: simulate_runs.take_snapshots(layout, p, zero, r.memories, r.commands), p, run
+    )
 
-    def arrive(since: Array, p: GridPointParams, run: Run, notes: dict[str, Array]) -> PyTree:
+    def arrive(since: Array, p: GridPointParams, run: Run, snapshots: dict[str, Array]) -> PyTree:
         none = jnp.zeros(q, int)
         arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, ticks_since_arrival=since)
-        return simulate_runs.jump(layout, p, zero, run, notes, arrival)
+        return simulate_runs.jump(layout, p, zero, run, snapshots, arrival)
 
-    jaxpr = jax.make_jaxpr(arrive)(zero, p, run, notes).jaxpr
+    jaxpr = jax.make_jaxpr(arrive)(zero, p, run, snapshots).jaxpr
     return any(v is jaxpr.invars[0] for v in [*jaxpr.outvars, *(v for e in jaxpr.eqns for v in e.invars)])
 
 

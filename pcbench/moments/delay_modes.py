@@ -103,20 +103,23 @@ def only_delays_random(p: Plan) -> bool:
 
 def _without_delays(clock: Clock) -> Clock:
     """Return a clock whose samples all have its delay."""
-    return clock._replace(spread=0, steps=(), stay=(), share=())
+    return clock._replace(delay_jitter=0, delay_values=(), delay_self_transition=(), delay_weights=())
 
 
 def _chain(clock: Clock) -> Chain:
     """Return the chain of additional delays: dependent or independent steps, plus independent jitter."""
-    steps, m = clock.steps or (0,), len(clock.steps) or 1
-    if clock.share or not clock.steps:
-        stationary = np.array(clock.share or (1.0,))
+    steps, m = clock.delay_values or (0,), len(clock.delay_values) or 1
+    if clock.delay_weights or not clock.delay_values:
+        stationary = np.array(clock.delay_weights or (1.0,))
         T = np.tile(stationary, (m, 1))
     else:
-        stationary, stay = np.array(sampling.stationary(clock.stay)), np.array(clock.stay)
+        stationary, stay = (
+            np.array(sampling.stationary(clock.delay_self_transition)),
+            np.array(clock.delay_self_transition),
+        )
         T = np.where(np.eye(m, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(m - 1, 1))
-    jitter = np.full(clock.spread + 1, 1 / (clock.spread + 1))
-    delays = tuple(step + jitter_ticks for step in steps for jitter_ticks in range(clock.spread + 1))
+    jitter = np.full(clock.delay_jitter + 1, 1 / (clock.delay_jitter + 1))
+    delays = tuple(step + jitter_ticks for step in steps for jitter_ticks in range(clock.delay_jitter + 1))
     return Chain(delays, np.kron(stationary, jitter), np.kron(T, np.tile(jitter, (len(jitter), 1))))
 
 
@@ -149,9 +152,12 @@ def _schedules(
 
     @cache
     def repeating(values: tuple[int, ...]) -> Schedule:
-        turns = tuple(chain.delays[v] for v in values)
+        delays = tuple(chain.delays[v] for v in values)
         return common_times.schedule(
-            common_times.samples([_without_delays(clock)._replace(turns=turns)], ticks), ticks, channels, error
+            common_times.samples_of([_without_delays(clock)._replace(delay_sequence=delays)], ticks),
+            ticks,
+            channels,
+            error,
         )
 
     newest = np.searchsorted(instants, np.arange(ticks + 1), "right") - 1

@@ -77,8 +77,8 @@ def batch(layout: Layout, shape: Shape, inputs: MomentInputs) -> Batch:
 def sense(layout: Layout, p: GridPointParams, k: Array, run: Run, noise: PyTree, inputs: PyTree) -> Array:
     """Return the noise-free measurement and the snapshots of all observers: [f]."""
     y = layout.plant.output(p.params, present(p, k, True), run.x)
-    notes = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
-    return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
+    snapshots = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
+    return jnp.concatenate([y, *(snapshots[label] for label, _ in layout.observers)])
 
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, noise: Array, mask: Array) -> Run:
@@ -92,9 +92,9 @@ def jump(
     """Return the run after a packet [f], if one arrives: `inputs` is (whether, ArrivalInfo)."""
     arrives, row = inputs
     shapes = jax.eval_shape(lambda run: simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands), run)
-    notes, at = {}, p.noise_std.shape[0]
+    snapshots, at = {}, p.noise_std.shape[0]
     for label, _ in layout.observers:
-        notes[label] = packet[at : at + shapes[label].shape[0]]
+        snapshots[label] = packet[at : at + shapes[label].shape[0]]
         at += shapes[label].shape[0]
     arrival = partial(
         Arrival,
@@ -104,7 +104,7 @@ def jump(
         row.number,
         ticks_since_arrival=row.ticks_since_arrival,
     )
-    return _update_memories(arrives, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
+    return _update_memories(arrives, simulate_runs.jump(layout, p, k, run, snapshots, arrival), run)
 
 
 def _update_memories(mask: Array, memories: PyTree, run: Run) -> Run:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.simulation.innovation_stats import KNOWN, RANK
+from pcbench.simulation.innovation_stats import KNOWN_TOL, RANK_TOL
 from pcbench.statistics.confidence_intervals import Values
 from pcbench.statistics.consistency import SIGMAS
 
@@ -51,7 +51,7 @@ def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
     """Return the trace of P^+ S, and the rank of P."""
     std = np.sqrt(np.diag(P))
     size, V = np.linalg.eigh(P / np.outer(std, std))
-    spans = size > RANK * size.max(initial=0.0)
+    spans = size > RANK_TOL * size.max(initial=0.0)
     along = np.einsum("ij,ik,kj->j", V, second / np.outer(std, std), V)
     return float(np.sum(along[spans] / size[spans])), int(spans.sum())
 
@@ -68,7 +68,7 @@ def inside(b: FinalErrors) -> list[Values]:
 
 
 def _counts(b: FinalErrors) -> np.ndarray:
-    return _diagonal(b.P) > np.square(KNOWN * b.prior)[:, None]
+    return _diagonal(b.P) > np.square(KNOWN_TOL * b.prior)[:, None]
 
 
 def _variances(b: FinalErrors) -> Values:

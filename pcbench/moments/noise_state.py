@@ -73,7 +73,7 @@ def form_of(layout: Layout, p: GridPointParams) -> Form:
     return Form(
         noisy=noisy,
         random=tuple(is_lanes(a) and not f for a, f in zip(leaves, floats, strict=True)),
-        flight=is_lanes(start.x) or any(is_lanes(snapshot) for snapshot in start.flight.notes.values()),
+        flight=is_lanes(start.x) or any(is_lanes(snapshot) for snapshot in start.flight.snapshots.values()),
         size=sum(sizes),
         vector_size=sum(itertools.compress(sizes, noisy)),
     )

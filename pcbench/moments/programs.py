@@ -73,11 +73,11 @@ def _pad_schedules(realisations: list[Realisation]) -> list[Realisation]:
     """Return realisations whose schedules are padded to one shape."""
     slots = max(one.problem.schedule.arrive.shape[1] for one in realisations)
     n_early = max(len(one.problem.schedule.early) for one in realisations)
-    notes = max(one.problem.schedule.extra_snapshots.shape[1] for one in realisations)
+    snapshots = max(one.problem.schedule.extra_snapshots.shape[1] for one in realisations)
     schedules = [
         common_times.pad_early(common_times.pad_slots(one.problem.schedule, slots), n_early) for one in realisations
     ]
-    schedules = [common_times.pad_notes(one, notes) for one in schedules]
+    schedules = [common_times.pad_snapshots(one, snapshots) for one in schedules]
     return [
         one._replace(problem=one.problem._replace(schedule=s)) for one, s in zip(realisations, schedules, strict=True)
     ]

@@ -29,7 +29,7 @@ from pcbench.moments.events import Batch, BatchState, Shape, batch, happen, sens
 from pcbench.moments.inputs import SCALES, MomentInputs, Numbers, begin
 from pcbench.moments.noise_state import Form, along, outer_square, product, slope, steady, transpose_cells, vector
 from pcbench.simulation import command_network, innovation_stats, simulate_runs
-from pcbench.simulation.closed_loop import add_command_noise, off_target
+from pcbench.simulation.closed_loop import add_command_noise, tracking_error
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, present
 
@@ -227,7 +227,7 @@ def one_cell(
     def signals_of(k: Array, run: Run) -> RunSignals:
         return RunSignals(
             errors=jnp.concatenate([e for _, e in sorted(simulate_runs.errors(layout, p, p.params, k, run).items())]),
-            off=off_target(loop, p, k, run.x) if loop else none,
+            off=tracking_error(loop, p, k, run.x) if loop else none,
             x=run.x if loop else none,
             u=add_command_noise(present(p, k, True, run.commands), run.commands).u if loop else none,
         )

@@ -90,7 +90,7 @@ def over_losses(p: Plan) -> Realisation | None:
     """
     clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
     lossless = common_times.schedule(
-        common_times.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
+        common_times.samples_of([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
     )
     one = p.problem._replace(schedule=lossless)
     layout = p.layout._replace(width=1, watch=False)

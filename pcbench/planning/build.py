@@ -183,7 +183,9 @@ def draft(
     numbers |= cell.parameters
     if "sensor_delay" in plant.numbers._fields:  # delay of the samples [s], or its mean if it varies
         clock = cell.times.clocks[0]
-        numbers["sensor_delay"] = float((clock.period if clock.delay is None else clock.delay) + clock.later) * s.dt
+        numbers["sensor_delay"] = (
+            float((clock.period if clock.delay is None else clock.delay) + clock.mean_extra_delay) * s.dt
+        )
     numbers |= {"unknown_input": truth.unknown_input} if truth.unknown_input else {}
     has_box = choices.random_initial_state and bool(belief.initial_box)
     from_prior = choices.random_initial_state and not has_box
@@ -217,7 +219,7 @@ def draft(
         outliers=outliers,
         rounding=Rounding(np.array(step), np.asarray(sampling.dither)) if any(step) else (),
         trigger=_trigger(sampling),
-        tail=np.asarray(dof) if np.isfinite(dof := sampling.student_t_dof) else (),
+        student_t_dof=np.asarray(dof) if np.isfinite(dof := sampling.student_t_dof) else (),
         noise_root=np.linalg.cholesky(rho) if (rho := sampling.noise_correlation) else np.zeros((0, 0)),
     )
     # without the limit of a processor
@@ -234,7 +236,7 @@ def draft(
         scattered=bool(belief.initial_box),
         pending=loop_setup.max_pending(cell),
         consistency=choices.consistency,
-        defined=cell.engine == "definition",
+        by_definition=cell.engine == "definition",
     )
     return Plan(
         cell=cell,
@@ -286,9 +288,9 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     error, channels = cell.times.error, len(s.sampling.delay)
     if s.sampling.continuous:
-        return common_times.at_every_tick(n, channels), 1
+        return common_times.every_tick_schedule(n, channels), 1
     if cell.times.random and run is None:
-        return random_times.times(clocks, n, channels, error), random_times.room(clocks, n, error)
+        return random_times.clock_params(clocks, n, channels, error), random_times.room(clocks, n, error)
     if len(clocks) == 1 and clocks[0].plain and not error:
         return common_times.plain_clock(clocks[0], n, channels)
     schedule = common_times.schedule(samples_of(cell, run), n, channels, error)
@@ -300,7 +302,7 @@ def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[common_ti
     clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
     if run is not None and cell.times.random:
         return random_times.draw_samples(clocks, n, channels, *run)
-    return common_times.samples(clocks, n)
+    return common_times.samples_of(clocks, n)
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:

@@ -45,22 +45,25 @@ def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
         pattern = clock.profile if isinstance(clock.profile, tuple) else (clock.period,)
         for j in clock.channels:
             period[j] = round(sum(pattern) / len(pattern))
-            delay[j] = (period[j] if clock.delay is None else clock.delay) + clock.later + cell.times.error
+            delay[j] = (period[j] if clock.delay is None else clock.delay) + clock.mean_extra_delay + cell.times.error
 
     def oosm_lag() -> int:
         """Return the largest number of newer samples that arrive before an older one; 0 for one clock with a constant delay."""
         if sampling.any_random(clocks):
             return random_times.max_oosm_lag(clocks, n)
         is_regular = (
-            len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
+            len(clocks) == 1
+            and clocks[0].delay is not None
+            and not any(clocks[0].delay_sine)
+            and not clocks[0].delay_sequence
         )
-        return 0 if is_regular else common_times.max_oosm_lag(common_times.samples(clocks, n))
+        return 0 if is_regular else common_times.max_oosm_lag(common_times.samples_of(clocks, n))
 
     def intervals() -> tuple[int, ...]:
         return tuple(sampling.intervals(clocks[0], n))
 
     defaults = belief.assumed_noise_std or noise
-    latest = max(sampling.ages(clock, n)[1] for clock in clocks) + clocks[0].stamp.reach(n)[0]
+    latest = max(sampling.ages(clock, n)[1] for clock in clocks) + clocks[0].stamp.max_errors(n)[0]
     return DesignContext(
         scenario=s.name,
         model=plant.nominal(numbers_of(s)),

@@ -14,7 +14,7 @@ from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, describe_exception
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller, Params
-from pcbench.simulation import command_network, law_conformance, metrics
+from pcbench.simulation import command_network, controller_shape_checks, metrics
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import controller_table, times
 from pcbench.study.grid import Cell
@@ -57,10 +57,10 @@ def oldest(cell: Cell, oosm_lag: int, ticks: int) -> int:
     if cell.scenario.sampling.sensors_decide:  # the last sample sent may have any age
         age = ticks
     elif cell.times.random:
-        age = min(random_times.oldest(cell.times.clocks, ticks, oosm_lag), ticks)
+        age = min(random_times.max_input_age(cell.times.clocks, ticks, oosm_lag), ticks)
     else:
-        age = common_times.oldest(common_times.samples(cell.times.clocks, ticks), oosm_lag)
-    return age + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
+        age = common_times.max_input_age(common_times.samples_of(cell.times.clocks, ticks), oosm_lag)
+    return age + max(cell.times.error, 0) + cell.times.clocks[0].stamp.max_errors(ticks)[0]
 
 
 def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerContext:
@@ -76,7 +76,7 @@ def make_controller_context(cell: Cell, reach: Reach, ticks: int) -> ControllerC
     )
 
 
-def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network.Line]:
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network.DelayLine]:
     """Return the parameters of controller and actuator line, from `reach.back` ticks before 0 to `lookahead` past the end.
 
     Raises UserError if a user-defined controller violates the protocol.
@@ -96,11 +96,11 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
                 f"controller {name}: prepare: got {describe_exception(error)}, expected a pytree of arrays; correct that line."
             ) from error
         (n, m), signals = context.model.B.shape, len(s.scoring.settle_band)
-        sizes = law_conformance.Sizes(n, signals - n, m)
-        law_conformance.check(name, controllers.law_of(entry, options(cell)), arrays, sizes)
+        sizes = controller_shape_checks.Sizes(n, signals - n, m)
+        controller_shape_checks.check(name, controllers.law_of(entry, options(cell)), arrays, sizes)
     if controller_table.has_generic_controller(s):
-        return control, command_network.held_line(context.late, reach.back, ticks + reach.lookahead)
-    return control, command_network.line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
+        return control, command_network.constant_delay_line(context.late, reach.back, ticks + reach.lookahead)
+    return control, command_network.delay_line(context.delay, s.dt, reach.back, ticks + reach.lookahead)
 
 
 def max_pending(cell: Cell) -> int:
@@ -109,13 +109,13 @@ def max_pending(cell: Cell) -> int:
     return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0
 
 
-def network(cell: Cell) -> command_network.Numbers | tuple[()]:
+def network(cell: Cell) -> command_network.NetworkParams | tuple[()]:
     """Return the parameters of the network to the plant; () if there is no network."""
     s, loop = cell.scenario, cell.scenario.loop
     if not (loop.command_jitter or loop.command_loss or loop.command_std):
         return ()
     context = controller_table.controller_context(s)
-    return command_network.Numbers(
+    return command_network.NetworkParams(
         every=np.asarray(context.every(getattr(options(cell), "period", None))),
         delay=np.asarray(times.to_ticks(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.to_ticks(loop.command_jitter, s)),

@@ -47,7 +47,7 @@ class Cost(NamedTuple):
 def costs(p: Plan) -> dict[str, Cost]:
     """Return the cost of every observer of a grid point by label."""
     clocks = p.cell.times.clocks
-    age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
+    age = max((clock.period if clock.delay is None else clock.delay) + clock.mean_extra_delay for clock in clocks)
     period = max(clock.period for clock in clocks)
     return {
         label: counter(p, *observer)(age, period) for label, observer in zip(p.labels, p.layout.observers, strict=True)

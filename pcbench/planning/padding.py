@@ -70,7 +70,7 @@ def capacity_of(p: Plan) -> Capacity:
     return Capacity(
         slots=schedule.arrive.shape[1] if common else 1,
         due=0 if common else schedule.due.shape[1],
-        shares=0 if common else schedule.share.shape[1],
+        shares=0 if common else schedule.delay_cdf.shape[1],
         ring=power_of_2(p.layout.ring),
         early=power_of_2(len(schedule.early)) if common else 0,
         extra_snapshots=schedule.extra_snapshots.shape[1] if common else 0,
@@ -80,7 +80,7 @@ def capacity_of(p: Plan) -> Capacity:
         pending=power_of_2(p.layout.pending),
         outliers=bool(p.problem.outliers),
         rounding=bool(p.problem.rounding),
-        tail=not isinstance(p.problem.tail, tuple),
+        tail=not isinstance(p.problem.student_t_dof, tuple),
         rows=tuple(rows.items()),
     )
 
@@ -106,12 +106,13 @@ def fit_to_capacity(p: Plan, room: Capacity, cache: memo.Cache = memo.no_cache) 
     if n_missing := room.jumps - len(jump_ticks):
         jump_ticks = np.pad(jump_ticks, (0, n_missing), constant_values=common_times.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, leaves), jumps=jump_ticks)
-    if not p.layout.defined:  # neutral values for the random effects of other grid points
+    if not p.layout.by_definition:  # neutral values for the random effects of other grid points
         no_outliers, no_step = Outliers(np.asarray(0.0), np.asarray(1.0)), np.zeros(len(problem.noise_std))
+        dof = problem.student_t_dof
         problem = problem._replace(
             outliers=problem.outliers or (no_outliers if room.outliers else ()),
             rounding=problem.rounding or (Rounding(no_step, np.asarray(0.0)) if room.rounding else ()),
-            tail=np.asarray(np.inf) if room.tail and isinstance(problem.tail, tuple) else problem.tail,
+            student_t_dof=np.asarray(np.inf) if room.tail and isinstance(dof, tuple) else dof,
         )
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
@@ -134,9 +135,9 @@ def stack_schedules(schedules: list[common_times.Schedule]) -> common_times.Sche
 
 def _pad_schedule(schedule: AnySchedule, room: Capacity) -> AnySchedule:
     if isinstance(schedule, random_times.ClockParams):
-        return random_times.pad_times(schedule, room.due, room.shares)
+        return random_times.pad_clock_params(schedule, room.due, room.shares)
     padded = common_times.pad_early(common_times.pad_slots(schedule, room.slots), room.early)
-    return common_times.pad_notes(padded, room.extra_snapshots)
+    return common_times.pad_snapshots(padded, room.extra_snapshots)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:

@@ -29,7 +29,7 @@ class CellResults(NamedTuple):
 
 def jobs(plan: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
     """Return the jobs of one width that cover a grid point's seeds."""
-    per_seed = plan.layout.defined and plan.cell.times.random
+    per_seed = plan.layout.by_definition and plan.cell.times.random
     for first in range(0, len(seeds), plan.layout.width):
         batch = seeds[first : first + plan.layout.width]
         schedules = [alone(plan, root_seed, int(seed)).problem.schedule for seed in batch] if per_seed else None

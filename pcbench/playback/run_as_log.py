@@ -31,12 +31,12 @@ def tables_of(
     every = sorted((s for s in samples if s.tick <= last), key=lambda s: (s.tick, s.channel))
     k, slot, channel = np.nonzero(schedule.mask)
     numbers = schedule.number[k, slot, channel].tolist()
-    value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.brought[k, slot, channel], strict=True))
+    value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.arrivals[k, slot, channel], strict=True))
     values = np.array([value.get((s.channel, s.number), np.nan) for s in every])
     arrived = np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every])
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
-        sampled=np.array([s.stamp(0) * dt for s in every]),
+        sampled=np.array([s.assumed_tick(0) * dt for s in every]),
         arrived=np.where(np.isnan(values), np.nan, arrived),  # a sensor may not have sent it
         value=values,
         row=np.arange(1, len(every) + 1),

@@ -55,7 +55,11 @@ def init_run(layout: Layout, p: GridPointParams, with_score: bool, seed: Array) 
     ((label, o),) = layout.observers
     n = o.estimate(p.gains[label], run.memories[label]).shape[0] + layout.plant.scored
     return run, Score(
-        metrics.start(n), metrics.start(n), metrics.start_watch(n), final=jnp.full(n, jnp.nan), counts=jnp.zeros((2, n))
+        metrics.zero_sums(n),
+        metrics.zero_sums(n),
+        metrics.initial_settling(n),
+        final=jnp.full(n, jnp.nan),
+        counts=jnp.zeros((2, n)),
     )
 
 
@@ -107,15 +111,15 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
     place, has_sample, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
     snapshots = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
     notes = jax.tree.map(
-        lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.notes, snapshots
+        lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.snapshots, snapshots
     )
     memories = select(has_sample, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
-    run = run._replace(memories=memories, flight=run.flight._replace(notes=notes))
+    run = run._replace(memories=memories, flight=run.flight._replace(snapshots=notes))
 
     def deliver(slot: Array, so_far: tuple[Run, Array]) -> tuple[Run, Array]:
         def jump(so_far: tuple[Run, Array]) -> tuple[Run, Array]:
             run, surprises = so_far
-            packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
+            packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.snapshots)
             age, since = jnp.full(w.mask[slot].shape, k - w.sampling_ticks[slot]), w.ticks_since_arrival[slot]
             ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
             arrival = partial(
@@ -146,8 +150,8 @@ def _update_score(p: GridPointParams, score: Score, k: Array, has_truth: Array, 
     is_scored, in_tail = has_truth & (k < ends[1]), k >= ends[0]
     e = jnp.where(is_scored, e, 0.0)  # adds nothing to the sums
     return Score(
-        before=metrics.update(score.before, jnp.where(in_tail, 0.0, e)),
-        tail=metrics.update(score.tail, jnp.where(in_tail, e, 0.0)),
+        before=metrics.add_error(score.before, jnp.where(in_tail, 0.0, e)),
+        tail=metrics.add_error(score.tail, jnp.where(in_tail, e, 0.0)),
         watch=metrics.update_settling(score.watch, k, e, p.band, p.bound, p.jumps),
         final=jnp.where(is_scored, e, score.final),
         counts=score.counts + jnp.stack([is_scored & ~in_tail, is_scored & in_tail]),

@@ -150,7 +150,7 @@ def _task(plan: Plan, root_seed: int, seed: int) -> Task:
 def _record(group: list[Task], root_seed: int) -> list[Trajectories]:
     """Return the runs of plans of one shape."""
     layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
-    call = trajectory.compiled_some()
+    call = trajectory.jit_record_some()
     arguments = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
     return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in arguments]
 

@@ -5,6 +5,6 @@
 - `rng`, `threefry`: random numbers by seed, stream, channel and sample; `measurements`: measurement noise
 - `closed_loop`, `command_network`: from commands to the plant's input
 - `metrics`, `innovation_stats`: the sums that a run accumulates; `trajectory`: one run as a table
-- `shape_checks`, `law_conformance`: check the shapes that user functions return; `reverse_mode`: runs with a gradient
+- `shape_checks`, `controller_shape_checks`: check the shapes that user functions return; `reverse_mode`: runs with a gradient
 - `types`: the numbers of a grid point, and the layout that all grid points of a program share
 """

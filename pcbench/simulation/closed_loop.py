@@ -31,7 +31,7 @@ class LoopState(NamedTuple):
 
 
 def first_loop_state(layout: Layout, p: GridPointParams, memories: Memories) -> LoopState:
-    """Return the commands before tick 0, the tracking-error sums, the controller's state and the control cost."""
+    """Return the commands before tick 0, the tracking-error sums, the controller's memory and the control cost."""
     if layout.controller is None:
         return LoopState()
     ((label, observer),), controller = layout.observers, layout.controller
@@ -40,14 +40,13 @@ def first_loop_state(layout: Layout, p: GridPointParams, memories: Memories) -> 
         commands: PyTree = command_network.empty(layout.commands, layout.pending, p.network.std.shape[0])
     else:
         ticks = jnp.arange(-layout.commands, 0)  # tick n is in row n mod R
-        commands = lax.map(
-            lambda n: controller.before(p.control, n, xhat), ticks
-        )  # one row at a time instead of R copies
+        # one row at a time instead of R copies
+        commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)
     return LoopState(
         commands,
-        metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0]),
+        metrics.zero_sums(tracking_error(controller, p, jnp.asarray(0), p.x0).shape[0]),
         controller.start(p.control, xhat) if controller.start else (),
-        metrics.start_effort() if isinstance(p.weights, metrics.Weights) else (),
+        metrics.zero_cost() if isinstance(p.weights, metrics.Weights) else (),
     )
 
 
@@ -61,7 +60,7 @@ def set_point_at(layout: Layout, p: GridPointParams, k: Array) -> Array:
     return layout.controller.target(p.control, k) if layout.controller else jnp.zeros(0)
 
 
-def off_target(controller: Controller, p: GridPointParams, k: Array, x: Array) -> Array:
+def tracking_error(controller: Controller, p: GridPointParams, k: Array, x: Array) -> Array:
     """Return set point minus state for the states that follow it, [r]."""
     target = controller.target(p.control, k)
     return target - x[: target.shape[0]]
@@ -76,7 +75,7 @@ def unless_diverged(watches: dict[str, metrics.SettlingState], new: Tree, old: T
     diverged = jnp.any(jnp.stack(is_bad)) if is_bad else jnp.asarray(False)
 
     def one(a: Array, b: Array) -> Array:
-        number = jnp.issubdtype(jnp.result_type(b), jnp.floating)
-        return jnp.where(diverged, b, a) if number else a.astype(jnp.result_type(b))
+        is_float = jnp.issubdtype(jnp.result_type(b), jnp.floating)
+        return jnp.where(diverged, b, a) if is_float else a.astype(jnp.result_type(b))
 
     return jax.tree.map(one, new, old)

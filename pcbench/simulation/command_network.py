@@ -34,8 +34,8 @@ from pcbench.simulation import rng
 NEVER = float(2**30)  # the arrival of a lost command
 
 
-class Numbers(NamedTuple):
-    """Parameters of the network, in ticks."""
+class NetworkParams(NamedTuple):
+    """Parameters of the network; times in ticks."""
 
     every: Leaf  # p, between decisions
     delay: Leaf  # d
@@ -74,7 +74,7 @@ def empty(rows: int, slots: int, inputs: int) -> Commands:
     return Commands(zeros, zeros, in_transit, jnp.asarray(-1.0), jnp.zeros(inputs))
 
 
-def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], CommandDraws]:
+def command_sampler(p: NetworkParams, root_seed: Array, seeds: Array) -> Callable[[Array], CommandDraws]:
     """Return a function of the tick that draws the numbers [.., L] of its decision, or zeros at ticks without a decision."""
     delay_keys, loss_keys, noise_keys = (
         rng.run_keys(root_seed, seeds, stream, count)
@@ -95,7 +95,7 @@ def command_sampler(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Arr
 
 
 def send(
-    p: Numbers, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], draws: CommandDraws
+    p: NetworkParams, k: Int[Array, ""], commands: Commands, command: Float[Array, " m"], draws: CommandDraws
 ) -> Commands:
     """Send the command of tick k if there is a decision, and update the input with the newest arrival."""
     m, P, R = command.shape[0], commands.in_transit.shape[0], commands.inputs.shape[0]
@@ -129,47 +129,49 @@ def input_at(commands: Commands, n: Int[Array, ""], newest: Int[Array, ""]) -> F
     return jnp.where(n > newest - R, row, jnp.nan)
 
 
-class Line(NamedTuple):
-    """The position read from the ring, one row per tick from -R on, R ring rows; empty for an open loop."""
+class DelayLine(NamedTuple):
+    """An actuator delay: the position read from the ring, one row per tick from -R on, R ring rows; empty for an open loop."""
 
     lag: Leaf  # [R + N + 1 + ahead] ticks
     weight: Leaf  # [R + N + 1 + ahead] 0 .. 1
 
 
-NONE = Line(np.zeros(0, int), np.zeros(0))
+NO_DELAY_LINE = DelayLine(np.zeros(0, int), np.zeros(0))
 
 
-def line(delay: Delay, dt: float, rows: int, ticks: int) -> Line:
-    """Return the `Line` of a delay [s] that is a function of time, 0 or at least half a tick, for ticks -`rows` .. `ticks`."""
+def delay_line(delay: Delay, dt: float, rows: int, ticks: int) -> DelayLine:
+    """Return the `DelayLine` of a delay of time [s], 0 or at least half a tick, for ticks -`rows` .. `ticks`."""
     n = np.arange(-rows, ticks + 1)
-    ticks_late = delay((n + 0.5) * dt) / dt
-    position = n + 0.5 - ticks_late
+    delay_ticks = delay((n + 0.5) * dt) / dt
+    position = n + 0.5 - delay_ticks
     lower = np.floor(position).astype(int)
-    undelayed = ticks_late == 0
-    return Line(np.where(undelayed, 1, n - lower), np.where(undelayed, 1.0, position - lower))
+    undelayed = delay_ticks == 0
+    return DelayLine(np.where(undelayed, 1, n - lower), np.where(undelayed, 1.0, position - lower))
 
 
-def held_line(lag: int, rows: int, ticks: int) -> Line:
-    """Return the `Line` whose input is the command of `lag` ticks earlier, for ticks -`rows` .. `ticks`."""
+def constant_delay_line(lag: int, rows: int, ticks: int) -> DelayLine:
+    """Return the `DelayLine` whose input is the command of `lag` ticks earlier, for ticks -`rows` .. `ticks`."""
     count = rows + ticks + 1
-    return Line(np.full(count, max(lag, 1)), np.full(count, float(lag == 0)))
+    return DelayLine(np.full(count, max(lag, 1)), np.full(count, float(lag == 0)))
 
 
 def rows_needed(delay: Delay, dt: float, ticks: int, oldest: int) -> int:
     """Return the number of ring rows needed to read inputs up to `oldest` ticks old."""
-    return oldest + int(line(delay, dt, 0, ticks).lag.max()) + 2
+    return oldest + int(delay_line(delay, dt, 0, ticks).lag.max()) + 2
 
 
 def delayed_command(
-    line: Line, commands: Float[Array, "R m"], n: Int[Array, ""], newest: Int[Array, ""]
+    line: DelayLine, commands: Float[Array, "R m"], n: Int[Array, ""], newest: Int[Array, ""]
 ) -> Float[Array, " m"]:
     """Return the input over tick n from commands up to tick `newest`; a later tick reads the newest command."""
     R = commands.shape[0]
     row = jnp.clip(n + R, 0, line.lag.shape[0] - 1)
     first, w = n - line.lag[row], line.weight[row]
-    older, newer = (
-        lax.dynamic_index_in_dim(commands, jnp.minimum(tick, newest) % R, 0, False) for tick in (first, first + 1)
-    )
+
+    def command_of(tick: Array) -> Array:
+        return lax.dynamic_index_in_dim(commands, jnp.minimum(tick, newest) % R, 0, False)
+
+    older, newer = command_of(first), command_of(first + 1)
     return jnp.where(first > newest - R, (1 - w) * older + w * newer, jnp.nan)
 
 

@@ -35,8 +35,8 @@ class StatsMemory(NamedTuple):
 
 def add_innovation_stats(layout: Layout) -> Layout:
     """Return the layout with innovation sums for every observer that defines `innovation`."""
-    every = ((label, sum_innovations(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
-    return layout._replace(observers=tuple(every))
+    observers = ((label, sum_innovations(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
+    return layout._replace(observers=tuple(observers))
 
 
 def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
@@ -66,15 +66,11 @@ def sum_innovations(o: Observer, innovation: Innovation) -> Observer:
         wrapper = wrapper._replace(bounds=lambda gains, memory: bounds(gains, memory.memory))
     if (on_sample := o.on_sample) is not None:
         wrapper = wrapper._replace(
-            on_sample=lambda gains, memory, now, mask: memory._replace(
-                memory=on_sample(gains, memory.memory, now, mask)
-            )
+            on_sample=lambda gains, m, now, mask: m._replace(memory=on_sample(gains, m.memory, now, mask))
         )
     if (init_random := o.init_random) is not None:
         wrapper = wrapper._replace(
-            init_random=lambda gains, memory, words, xhat0: memory._replace(
-                memory=init_random(gains, memory.memory, words, xhat0)
-            )
+            init_random=lambda gains, m, words, xhat0: m._replace(memory=init_random(gains, m.memory, words, xhat0))
         )
     return wrapper
 
@@ -84,15 +80,15 @@ def sums(memory: Memory) -> InnovationStats | None:
     return memory.sums if isinstance(memory, StatsMemory) else None
 
 
-KNOWN = 1e-9  # relative to the prior's standard deviation
-RANK = 1e-11  # relative to the largest eigenvalue of the correlation matrix
+KNOWN_TOL = 1e-9  # relative to the prior's standard deviation: below it a state counts as known
+RANK_TOL = 1e-11  # relative to the largest eigenvalue of the correlation matrix
 
 
 class Squares(NamedTuple):
     """Normalized squared errors of one run."""
 
-    nees: Array  # e' P^-1 e over the states that count, divided by the rank of P
-    signal: Array  # [n], NaN for a state that does not count
+    nees: Array  # e' P^-1 e over the states that are not known, divided by the rank of P
+    signal: Array  # [n], NaN for a known state
     states: Array  # the rank of P
     innovation: InnovationStats | None = None  # sums over the run, if the observer defines `innovation`
 
@@ -102,26 +98,28 @@ def covariances(
 ) -> dict[str, Array]:
     """Return the error covariance that each observer of one run reports at tick k, by label."""
     now = present(p, k, False, commands)
-    return {label: f(p.gains[label], memories[label], now) for label, f in _able(layout).items()}
+    return {label: f(p.gains[label], memories[label], now) for label, f in _covariance_functions(layout).items()}
 
 
-def _able(layout: Layout) -> dict[str, Covariance]:
+def _covariance_functions(layout: Layout) -> dict[str, Covariance]:
     return {label: o.covariance for label, o in layout.observers if o.covariance}
 
 
-def normalize_error(e: Array, P: Array, prior: Array) -> Squares:
-    """Return the normalized squares of the error e [n] by P [n, n] or larger; prior [n] standard deviations."""
+def normalize_error(e: Array, P: Array, prior_std: Array) -> Squares:
+    """Return the normalized squares of the error e [n] by P [n, n] or larger; `prior_std` [n] standard deviations."""
     n = e.shape[0]
     P = P[:n, :n]
     variance = jnp.diagonal(P)
-    counts = variance > jnp.square(KNOWN * prior)
-    std = jnp.sqrt(jnp.where(counts, variance, 1.0))
-    e = jnp.where(counts, e / std, 0.0)
-    correlation = jnp.where(counts[:, None] & counts[None, :], P / (std[:, None] * std[None, :]), jnp.eye(n))
-    size, V = jnp.linalg.eigh(correlation)
-    spans = size > RANK * size[-1]
-    square_pinv = jnp.sum(jnp.where(spans, jnp.square(V.T @ e) / jnp.where(spans, size, 1.0), 0.0))
-    full = jnp.all(spans)
-    square = jnp.where(full, e @ jnp.linalg.solve(jnp.where(full, correlation, jnp.eye(n)), e), square_pinv)
-    rank = (jnp.sum(counts) - jnp.sum(~spans)).astype(float)
-    return Squares(square / rank, jnp.where(counts, e * e, jnp.nan), rank)
+    is_uncertain = variance > jnp.square(KNOWN_TOL * prior_std)  # not known: it enters the squares
+    std = jnp.sqrt(jnp.where(is_uncertain, variance, 1.0))
+    e = jnp.where(is_uncertain, e / std, 0.0)
+    both_uncertain = is_uncertain[:, None] & is_uncertain[None, :]
+    correlation = jnp.where(both_uncertain, P / (std[:, None] * std[None, :]), jnp.eye(n))
+    values, V = jnp.linalg.eigh(correlation)
+    nonzero = values > RANK_TOL * values[-1]
+    square_pinv = jnp.sum(jnp.where(nonzero, jnp.square(V.T @ e) / jnp.where(nonzero, values, 1.0), 0.0))
+    is_full_rank = jnp.all(nonzero)
+    square_inv = e @ jnp.linalg.solve(jnp.where(is_full_rank, correlation, jnp.eye(n)), e)
+    square = jnp.where(is_full_rank, square_inv, square_pinv)
+    rank = (jnp.sum(is_uncertain) - jnp.sum(~nonzero)).astype(float)
+    return Squares(square / rank, jnp.where(is_uncertain, e * e, jnp.nan), rank)

@@ -105,7 +105,7 @@ def quantize(r: Rounding, y: Array, uniform: Array) -> Array:
     return jnp.where(r.step > 0, step * jnp.floor((y + d) / step + 0.5) - d, y)
 
 
-def students(w: Array, z: Array, n: Array) -> Array:
+def student_t(w: Array, z: Array, n: Array) -> Array:
     """Return a number with Student's distribution of n degrees of freedom, scaled to variance 1, from two normal numbers.
 
     If n is infinite, it is w.
@@ -120,23 +120,24 @@ def _of_channels(a: PyTree, channels: list[int], ndim: int) -> PyTree:
     return jnp.stack([a[j] for j in channels]).reshape(-1, *(1,) * (ndim - 1)) if jnp.ndim(a) else a
 
 
-def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
+def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, barrier: bool = False) -> Noise:
     """Return a function that draws the noise of samples of some channels.
 
-    With `apart`, the compiler cannot fuse the noise with the code that uses it. A run then has the same bits with and without
+    With `barrier`, the compiler cannot fuse the noise with the code that uses it. A run then has the same bits with and without
     outliers of probability 0.
     """
     q = p.noise_std.shape[0]
     keys = rng.run_keys(root_seed, seeds, "measurement", q)
     outlier_keys = rng.run_keys(root_seed, seeds, "outlier", q) if p.outliers else []
-    tail = [] if isinstance(p.tail, tuple) else rng.run_keys(root_seed, seeds, "tail", q)
-
-    dither = rng.run_keys(root_seed, seeds, "dither", q) if p.rounding else []
+    tail_keys = [] if isinstance(p.student_t_dof, tuple) else rng.run_keys(root_seed, seeds, "tail", q)
+    dither_keys = rng.run_keys(root_seed, seeds, "dither", q) if p.rounding else []
 
     def sample(channels: list[int], index: PyTree) -> Array:
         v = noise(channels, index)
-        v = lax.optimization_barrier(v) if apart else v
-        return jnp.concatenate([v, rng.uniforms_of([dither[j] for j in channels], index)]) if dither else v
+        v = lax.optimization_barrier(v) if barrier else v
+        if not dither_keys:
+            return v
+        return jnp.concatenate([v, rng.uniforms_of([dither_keys[j] for j in channels], index)])
 
     def normals(channels: list[int], index: PyTree) -> Array:
         if not p.noise_root.shape[0]:
@@ -146,8 +147,8 @@ def noise_sampler(p: GridPointParams, root_seed: Array, seeds: Array, apart: boo
 
     def noise(channels: list[int], index: PyTree) -> Array:
         v = normals(channels, index)
-        if tail:
-            v = students(v, rng.normals([tail[j] for j in channels], index), p.tail)
+        if tail_keys:
+            v = student_t(v, rng.normals([tail_keys[j] for j in channels], index), p.student_t_dof)
         if not p.outliers:
             return v
         probability, scale = (_of_channels(a, channels, v.ndim) for a in p.outliers)

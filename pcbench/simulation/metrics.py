@@ -31,8 +31,8 @@ class ErrorSums(NamedTuple):
 class IntervalSums(NamedTuple):
     """Interval width and coverage of an observer with bounds, at one tick or summed over ticks; n signals."""
 
-    width: Array  # [n] high - low
-    inside: Array  # [n] 1 where low <= z <= high
+    width: Array  # [n] upper - lower
+    inside: Array  # [n] 1 where lower <= z <= upper
 
 
 class SettlingState(NamedTuple):
@@ -40,7 +40,7 @@ class SettlingState(NamedTuple):
 
     settling_tick: Array  # [n] the tick after the last one with |e| outside its band
     recovery: (
-        Array  # [n] ticks from a jump of the unknown input to the last exit from the band before the next; the longest
+        Array  # [n] largest number of ticks from a jump of the unknown input to the last exit before the next jump
     )
     first_bad: Array  # first tick with an error that was not finite or above the divergence threshold, or -1
     interval: PyTree = ()  # IntervalSums of an observer with bounds
@@ -62,7 +62,7 @@ class ControlCost(NamedTuple):
     square: Array  # sum of u'u
 
 
-def start_effort() -> ControlCost:
+def zero_cost() -> ControlCost:
     """Return the control cost of an empty window."""
     return ControlCost(jnp.zeros(()), jnp.zeros(()))
 
@@ -77,21 +77,21 @@ def add_cost(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array
     return ControlCost(effort.cost + cost, effort.square + square)
 
 
-def start(n: int) -> ErrorSums:
+def zero_sums(n: int) -> ErrorSums:
     """Return the error sums of an empty window."""
     return ErrorSums(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
 
 
-def start_watch(n: int, n_bounded: int = 0) -> SettlingState:
+def initial_settling(n: int, n_bounded: int = 0) -> SettlingState:
     """Return the settling state before the first tick, for an observer that bounds `n_bounded` signals."""
     interval = IntervalSums(jnp.zeros(n_bounded), jnp.zeros(n_bounded)) if n_bounded else ()
     return SettlingState(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0), interval)
 
 
-def update(stream: ErrorSums, e: Array) -> ErrorSums:
+def add_error(stream: ErrorSums, e: Array) -> ErrorSums:
     """Add the error e[n] of one tick to the window."""
-    size = jnp.abs(e)
-    return ErrorSums(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
+    abs_e = jnp.abs(e)
+    return ErrorSums(stream.absolute + abs_e, stream.square + e * e, jnp.maximum(stream.peak, abs_e))
 
 
 def update_settling(
@@ -102,10 +102,10 @@ def update_settling(
     `band` and `bound` are [n] or longer; a NaN exceeds the bound. `interval` has the sums of this tick, if there are bounds.
     """
     n = e.shape[0]
-    size, t = jnp.abs(e), tick.astype(float)
-    good = jnp.all(size <= bound[:n])
-    first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, t)
-    outside, recovery = size > band[:n], watch.recovery
+    abs_e, t = jnp.abs(e), tick.astype(float)
+    is_good = jnp.all(abs_e <= bound[:n])
+    first_bad = jnp.where(is_good | (watch.first_bad >= 0), watch.first_bad, t)
+    outside, recovery = abs_e > band[:n], watch.recovery
     if jumps.shape[0]:
         since = jnp.min(jnp.where(jumps <= tick, tick - jumps, tick))
         has_jumped = jnp.any(jumps <= tick)
@@ -136,7 +136,7 @@ def finalize(
     - `tracking` [W, r, L], closed loop: gives the rms of set point minus state, for the first r states, [r, L].
     - `effort` [W, L], closed loop: gives the rms input and, with `costs`, the mean cost, [1, L].
     - `squares` [n, L] and [L]: `innovation_stats.Squares` of an observer with a covariance.
-    - `interval_width`: mean of high - low over ticks; `interval_coverage`: share of ticks with low <= z <= high.
+    - `interval_width`: mean of upper - lower over ticks; `interval_coverage`: share of ticks with lower <= z <= upper.
     - `sent` [L]: share of the samples that were sent, if sensors decide.
     - `diverged` [L] and `divergence_time` [L, s] (NaN: none). A diverged run has NaN for every metric.
     - `unsettled` [n, L]: not diverged, and outside the band in the tail.
@@ -164,9 +164,9 @@ def finalize(
         out |= {"nees": np.atleast_2d(squares.nees), "nees_dof": np.atleast_2d(squares.states)}
         out["signal_nees"] = np.asarray(squares.signal)
         if (innovation := squares.innovation) is not None:
-            square, degrees = np.atleast_2d(innovation.nis_sum), np.atleast_2d(innovation.dof)
+            nis_sum, dof = np.atleast_2d(innovation.nis_sum), np.atleast_2d(innovation.dof)
             with np.errstate(invalid="ignore"):  # 0 / 0 in a run without a tested sample
-                out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_dof": degrees}
+                out |= {"nis": nis_sum / np.where(dof > 0, dof, np.nan), "nis_dof": dof}
     if watch.interval:
         out["interval_width"] = np.asarray(watch.interval.width) / ticks
         out["interval_coverage"] = np.asarray(watch.interval.inside) / ticks

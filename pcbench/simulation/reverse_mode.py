@@ -49,7 +49,8 @@ def metrics(
         end, _ = lax.scan(chunk, start, jnp.arange(0, ticks, size))
         sums = {label: (_sum_from(s, 0), _sum_from(s, 1)) for label, s in end.streams.items()}
         return {
-            o: _read(total, ticks, "") | _read(steady, ticks - tail, "steady_") for o, (total, steady) in sums.items()
+            label: _smooth_metrics(total, ticks, "") | _smooth_metrics(steady, ticks - tail, "steady_")
+            for label, (total, steady) in sums.items()
         }
 
     return jax.vmap(one, out_axes=-1)(seeds)
@@ -60,9 +61,9 @@ def _sum_from(stream: ErrorSums, window: int) -> ErrorSums:
     return ErrorSums(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
 
 
-def _read(stream: ErrorSums, count: int, prefix: str) -> dict[str, Array]:
+def _smooth_metrics(stream: ErrorSums, count: int, prefix: str) -> dict[str, Array]:
     mse = stream.square / count
-    still = mse > 0  # sqrt has no slope at 0; an error that is always 0 gets slope 0
-    rmse = jnp.where(still, jnp.sqrt(jnp.where(still, mse, 1.0)), 0.0)
+    is_positive = mse > 0  # sqrt has no slope at 0; an error that is always 0 gets slope 0
+    rmse = jnp.where(is_positive, jnp.sqrt(jnp.where(is_positive, mse, 1.0)), 0.0)
     values = {"mae": stream.absolute / count, "mse": mse, "rmse": rmse, "max_abs_error": stream.peak}
     return {prefix + name: value for name, value in values.items()}

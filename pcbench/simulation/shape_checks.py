@@ -1,5 +1,6 @@
 """Check the shapes that an observer's functions return, before anything is compiled or simulated."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -22,14 +23,16 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
     signals = len(p.band)
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
+    at_jump = partial(present, k=k, decided=False)
+
     def at_arrival(f: Any) -> PyTree:
         def at_event(p: GridPointParams, memory: Memory, value: PyTree, snapshot: PyTree) -> PyTree:
             arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), snapshot, k)
-            return f(p.gains[label], memory, present(p, k, False), arrival)
+            return f(p.gains[label], memory, at_jump(p), arrival)
 
         return at_event
 
-    def ask(name: str, f: Any, *args: PyTree) -> PyTree:
+    def shapes_of(name: str, f: Any, *args: PyTree) -> PyTree:
         try:
             return jax.eval_shape(f, p, *args)
         except Exception as error:
@@ -38,59 +41,51 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
                 "for one run, with jnp.where instead of if."
             ) from error
 
-    memory = ask("init", lambda p, x: observer.init(p.gains[label], x), state)
-    snapshot = ask(
-        "snapshot", lambda p, m: jnp.asarray(observer.snapshot(p.gains[label], m, present(p, k, False))), memory
-    )
+    memory = shapes_of("init", lambda p, x: observer.init(p.gains[label], x), state)
+    snapshot = shapes_of("snapshot", lambda p, m: jnp.asarray(observer.snapshot(p.gains[label], m, at_jump(p))), memory)
     if snapshot.ndim != 1:
         raise UserError(
             f"observer {label}: snapshot returned shape {snapshot.shape}, expected a vector [r]; use jnp.atleast_1d."
         )
-    xhat = ask("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
+    xhat = shapes_of("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
     if xhat.shape not in ((n,), (signals,)):
         suffix = f", or ({signals},) with its unknown inputs" if signals > n else ""
         raise UserError(
             f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{suffix}; "
             "return all of it."
         )
-    _check_memory(label, "jump", ask("jump", at_arrival(observer.jump), memory, value, snapshot), memory)
+    _check_memory(label, "jump", shapes_of("jump", at_arrival(observer.jump), memory, value, snapshot), memory)
     if (on_sample := observer.on_sample) is not None:
         mask = jax.ShapeDtypeStruct((q,), bool)
-        _check_memory(
-            label,
-            "on_sample",
-            ask("on_sample", lambda p, m, f: on_sample(p.gains[label], m, present(p, k, False), f), memory, mask),
-            memory,
-        )
+        output = shapes_of("on_sample", lambda p, m, f: on_sample(p.gains[label], m, at_jump(p), f), memory, mask)
+        _check_memory(label, "on_sample", output, memory)
     if (init_random := observer.init_random) is not None:
         words = jax.ShapeDtypeStruct((2,), jnp.uint32)
-        seeded_memory = ask(
-            "init_random", lambda p, m, w, x: init_random(p.gains[label], m, w, x), memory, words, state
-        )
-        _check_memory(label, "init_random", seeded_memory, memory)
+        output = shapes_of("init_random", lambda p, m, w, x: init_random(p.gains[label], m, w, x), memory, words, state)
+        _check_memory(label, "init_random", output, memory)
     if (covariance := observer.covariance) is not None:
-        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
+        P = shapes_of("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, at_jump(p))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):
             raise UserError(
                 f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: the "
                 "covariance of the errors of all estimated signals; return all of it."
             )
     if (bounds := observer.bounds) is not None:
-        ends = ask("bounds", lambda p, m: jnp.asarray(bounds(p.gains[label], m)), memory)
+        ends = shapes_of("bounds", lambda p, m: jnp.asarray(bounds(p.gains[label], m)), memory)
         if ends.shape != (2, *xhat.shape):
             raise UserError(
                 f"observer {label}: bounds returned shape {ends.shape}, expected {(2, *xhat.shape)}: the lower and upper "
                 "bounds of all estimated signals; return both."
             )
     if (delay := observer.delay) is not None:
-        moments = ask("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, present(p, k, False))), memory)
+        moments = shapes_of("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, at_jump(p))), memory)
         if moments.shape != (2,):
             raise UserError(
                 f"observer {label}: delay returned shape {moments.shape}, expected (2,): the mean delay and its standard "
                 "deviation [s]; return both."
             )
     if observer.innovation is not None:
-        stats = ask("innovation", at_arrival(observer.innovation), memory, value, snapshot)
+        stats = shapes_of("innovation", at_arrival(observer.innovation), memory, value, snapshot)
         if (shapes := [leaf.shape for leaf in jax.tree.leaves(stats)]) not in (
             *([()] * count for count in (2, 3, 4)),
             *([*[()] * 4, *[value.shape] * count] for count in (1, 2)),
@@ -101,13 +96,9 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
             )
     if continuous and observer.field is not None:
         field = observer.field
-        _check_memory(
-            label,
-            "field",
-            ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
-            memory,
-        )
-    next_memory = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
+        output = shapes_of("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value)
+        _check_memory(label, "field", output, memory)
+    next_memory = shapes_of("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
     _check_memory(label, "flow", next_memory, memory)
 
 

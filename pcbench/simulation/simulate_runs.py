@@ -51,7 +51,7 @@ class Shift(NamedTuple):
     """A change of packet values and snapshots by packet number, to find which results depend on them. P packets."""
 
     values: Array  # [P, q]
-    notes: Array  # [P]
+    snapshots: Array  # [P]
 
 
 class Draws(NamedTuple):
@@ -61,9 +61,8 @@ class Draws(NamedTuple):
     box: Array  # [n] uniform, for xhat(0)
     plant: PyTree  # [d] uniform, for the plant's parameters
     words: Array  # [2] for observers that draw random numbers
-    sample: Callable[
-        [Array], Array
-    ]  # (sample number of each channel) -> [q] noise before scaling; then [q] for quantization
+    # (sample number of each channel) -> [q] noise before scaling; then [q] for quantization
+    sample: Callable[[Array], Array]
     process: Callable[[Array], Array]  # (tick) -> [n] standard normal
     command: Callable[[Array], PyTree]  # (tick) -> command_network.CommandDraws
 
@@ -191,9 +190,9 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
             memories[label] = o.init_random(p.gains[label], memories[label], words, xhat0)
     memories = jax.tree.map(jnp.asarray, memories)
     loop = closed_loop.first_loop_state(layout, p, memories)
-    notes = take_snapshots(layout, p, jnp.asarray(0, int), memories, loop.commands)
-    ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
-    windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
+    snapshots = take_snapshots(layout, p, jnp.asarray(0, int), memories, loop.commands)
+    per_packet = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
+    per_window = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
     sizes = {
         label: o.estimate(p.gains[label], memories[label]).shape[0] + layout.plant.scored
         for label, o in layout.observers
@@ -201,23 +200,23 @@ def run_from(layout: Layout, p: GridPointParams, x: Array, xhat0: Array, words: 
     return Run(
         x=x,
         memories=memories,
-        flight=Packet(ring(jnp.zeros(p.noise_std.shape[0])), ring(notes)),
-        streams={label: windows(metrics.start(size)) for label, size in sizes.items()},
-        watches=start_watches(layout, sizes),
+        flight=Packet(per_packet(jnp.zeros(p.noise_std.shape[0])), per_packet(snapshots)),
+        streams={label: per_window(metrics.zero_sums(size)) for label, size in sizes.items()},
+        watches=initial_settling_states(layout, sizes),
         commands=loop.commands,
         law=loop.law,
-        tracking=windows(loop.tracking),
-        effort=windows(loop.effort),
+        tracking=per_window(loop.tracking),
+        effort=per_window(loop.effort),
         sensors=measurements.first_sensors(p.noise_std.shape[0]) if p.trigger else (),
     )
 
 
-def start_watches(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.SettlingState]:
+def initial_settling_states(layout: Layout, sizes: dict[str, int]) -> dict[str, metrics.SettlingState]:
     """Return the settling states before tick 0, by observer with its number of errors."""
     if not layout.watch:
         return {}
     n_bounded = {label: sizes[label] - layout.plant.scored if o.bounds else 0 for label, o in layout.observers}
-    return {label: metrics.start_watch(size, n_bounded[label]) for label, size in sizes.items()}
+    return {label: metrics.initial_settling(size, n_bounded[label]) for label, size in sizes.items()}
 
 
 def measure(layout: Layout, p: GridPointParams, params: Params, k: Array, x: Array, v: Array) -> Array:
@@ -242,27 +241,28 @@ def sense(
     layout: Layout, p: GridPointParams, params: Params, draws: Draws, k: Array, run: Run, shift: Shift | None = None
 ) -> Run:
     """1. Take the sample of tick k, if there is one, with the snapshots; notify observers with `on_sample`."""
-    plan = p.schedule
+    schedule = p.schedule
 
     def set_row(ring: Tree, number: Array, value: Tree) -> Tree:
         place = number % layout.ring
         return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
 
-    values, notes = run.flight
-    y, is_sampled = measure(layout, p, params, k, run.x, draws.sample(plan.sample[k])), plan.sample[k] >= 0
+    values, snapshots = run.flight
+    y, is_sampled = measure(layout, p, params, k, run.x, draws.sample(schedule.sample[k])), schedule.sample[k] >= 0
     if p.trigger:
-        sensors, y = measurements.send(p.trigger, run.sensors, y, (plan.sense[k] >= 0) & is_sampled)
+        sensors, y = measurements.send(p.trigger, run.sensors, y, (schedule.sense[k] >= 0) & is_sampled)
         run, is_sampled = run._replace(sensors=sensors), is_sampled & ~jnp.isnan(y)
-    snapshots = take_snapshots(layout, p, k, run.memories, run.commands)
+    new = take_snapshots(layout, p, k, run.memories, run.commands)
     if shift:
-        y = y + shift.values[plan.sense[k]]
-        snapshots = jax.tree.map(lambda a: a + shift.notes[plan.snapshot[k]].astype(a.dtype), snapshots)
-    values = set_row(values, plan.sense[k], y)
-    for number in (plan.snapshot[k], *(plan.extra_snapshots[k, i] for i in range(plan.extra_snapshots.shape[1]))):
-        notes = set_row(notes, number, snapshots)
+        y = y + shift.values[schedule.sense[k]]
+        new = jax.tree.map(lambda a: a + shift.snapshots[schedule.snapshot[k]].astype(a.dtype), new)
+    values = set_row(values, schedule.sense[k], y)
+    extra = (schedule.extra_snapshots[k, i] for i in range(schedule.extra_snapshots.shape[1]))
+    for number in (schedule.snapshot[k], *extra):
+        snapshots = set_row(snapshots, number, new)
     notified = notify(layout, p, k, run, is_sampled)
-    memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
-    return run._replace(memories=memories, flight=Packet(values, notes))
+    memories = freeze_diverged(layout, run, select(schedule.sense[k] >= 0, notified, run.memories), run.memories)
+    return run._replace(memories=memories, flight=Packet(values, snapshots))
 
 
 def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) -> Tree:
@@ -276,17 +276,19 @@ def notify(layout: Layout, p: GridPointParams, k: Array, run: Run, mask: Array) 
 
 def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
-    plan, has_arrived = p.schedule, jnp.asarray(False)
-    for slot in range(plan.arrive.shape[1]):
-        number, mask = plan.arrive[k, slot], plan.mask[k, slot]
-        values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
-        age, since, silent = jnp.full(mask.shape, k - plan.timestamp[k, slot]), plan.ticks_since_arrival[k, slot], None
+    schedule, has_arrived = p.schedule, jnp.asarray(False)
+    for slot in range(schedule.arrive.shape[1]):
+        number, mask = schedule.arrive[k, slot], schedule.mask[k, slot]
+        values, snapshots = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
+        age, silent = jnp.full(mask.shape, k - schedule.timestamp[k, slot]), None
+        ticks_since = schedule.ticks_since_arrival[k, slot]
         if p.trigger:
             silent, mask = mask & jnp.isnan(values), mask & ~jnp.isnan(values)
-            values, since = jnp.where(mask, values, 0.0), k - run.sensors.last_arrival
+            values, ticks_since = jnp.where(mask, values, 0.0), k - run.sensors.last_arrival
             has_arrived |= (number >= 0) & jnp.any(mask)
-        arrival = partial(Arrival, values, mask, age, plan.number[k, slot], ticks_since_arrival=since, silent=silent)
-        memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
+        index = schedule.number[k, slot]
+        arrival = partial(Arrival, values, mask, age, index, ticks_since_arrival=ticks_since, silent=silent)
+        memories = select(number >= 0, jump(layout, p, k, run, snapshots, arrival), run.memories)
         if p.trigger:  # nothing arrives if no channel has sent
             listeners = {label for label, o in layout.observers if o.uses_silence}
             memories = {
@@ -295,19 +297,19 @@ def deliver(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Run:
             }
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     if p.trigger:
-        run = run._replace(
-            sensors=run.sensors._replace(last_arrival=jnp.where(has_arrived, k, run.sensors.last_arrival))
-        )
+        last_arrival = jnp.where(has_arrived, k, run.sensors.last_arrival)
+        run = run._replace(sensors=run.sensors._replace(last_arrival=last_arrival))
     return run
 
 
 def jump(
-    layout: Layout, p: GridPointParams, k: Array, run: Run, notes: Tree, arrival: Callable[[PyTree], Arrival]
+    layout: Layout, p: GridPointParams, k: Array, run: Run, snapshots: Tree, arrival: Callable[[PyTree], Arrival]
 ) -> Tree:
     """Return the memories after a packet that arrives at tick k; `arrival` makes an Arrival from an observer's snapshot."""
     now = present(p, k, False, run.commands)
     return {
-        label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label])) for label, o in layout.observers
+        label: o.jump(p.gains[label], run.memories[label], now, arrival(snapshots[label]))
+        for label, o in layout.observers
     }
 
 
@@ -316,7 +318,7 @@ def errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Ru
     z = truth(layout, params, present(p, k, True), run.x)
     estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
     e = {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
-    user_defined = own_errors(layout, p, params, k, run)
+    user_defined = user_errors(layout, p, params, k, run)
     return {label: jnp.concatenate([e[label], user_defined[label]]) for label in e} if user_defined else e
 
 
@@ -330,7 +332,7 @@ def intervals(
     return {label: metrics.IntervalSums(upper - lower, inside[label].astype(float)) for label, (lower, upper) in bounds}
 
 
-def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
+def user_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> dict[str, Array]:
     """Return the plant's user-defined errors for every observer at tick k, [d]; empty if it has none."""
     if layout.plant.errors is None:
         return {}
@@ -342,7 +344,9 @@ def own_errors(layout: Layout, p: GridPointParams, params: Params, k: Array, run
 def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: Run) -> Run:
     """3. Add the errors of tick k, and the tracking error of a closed loop, to the sums of its window."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
-    streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
+    streams = {
+        label: update_window(s, window, partial(metrics.add_error, e=e[label])) for label, s in run.streams.items()
+    }
     interval_sums = intervals(layout, p, params, k, run) if run.watches else {}
     watches = {
         label: metrics.update_settling(w, k, e[label], p.band, p.bound, p.jumps, interval_sums.get(label, ()))
@@ -350,8 +354,8 @@ def estimate(layout: Layout, p: GridPointParams, params: Params, k: Array, run: 
     }
     tracking = run.tracking
     if layout.controller and run.tracking:
-        error = closed_loop.off_target(layout.controller, p, k, run.x)
-        tracking = update_window(tracking, window, lambda s: metrics.update(s, error))
+        error = closed_loop.tracking_error(layout.controller, p, k, run.x)
+        tracking = update_window(tracking, window, lambda s: metrics.add_error(s, error))
     return run._replace(streams=streams, watches=watches, tracking=tracking)
 
 
@@ -429,13 +433,14 @@ def normalized_errors(
     layout: Layout, p: GridPointParams, k: Array, run: Run, e: dict[str, Array]
 ) -> dict[str, innovation_stats.Squares]:
     """Return the normalized errors of tick k, for observers that report a covariance."""
-    prior, covariances = jnp.diagonal(p.spread0), innovation_stats.covariances(layout, p, k, run.memories, run.commands)
-    return {
-        label: innovation_stats.normalize_error(e[label][: len(prior)], P, prior)._replace(
-            innovation=innovation_stats.sums(run.memories[label])
-        )
-        for label, P in covariances.items()
-    }
+    prior_std = jnp.diagonal(p.spread0)
+    covariances = innovation_stats.covariances(layout, p, k, run.memories, run.commands)
+
+    def one(label: str, P: Array) -> innovation_stats.Squares:
+        squares = innovation_stats.normalize_error(e[label][: len(prior_std)], P, prior_std)
+        return squares._replace(innovation=innovation_stats.sums(run.memories[label]))
+
+    return {label: one(label, P) for label, P in covariances.items()}
 
 
 def freeze_diverged(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:

@@ -29,9 +29,9 @@ def threefry_2x32(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
     keys = (words[0], words[1], words[0] ^ words[1] ^ jnp.uint32(PARITY))
     a, b = high + keys[0], low + keys[1]
     for block in range(5):
-        for turn in ROTATIONS[block % 2]:
+        for rotation in ROTATIONS[block % 2]:
             a = a + b
-            b = ((b << jnp.uint32(turn)) | (b >> jnp.uint32(WORD - turn))) ^ a
+            b = ((b << jnp.uint32(rotation)) | (b >> jnp.uint32(WORD - rotation))) ^ a
         a = a + keys[(block + 1) % 3]
         b = b + keys[(block + 2) % 3] + jnp.uint32(block + 1)
     return a, b

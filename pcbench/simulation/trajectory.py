@@ -21,7 +21,7 @@ class Recording(NamedTuple):
     estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
     u: Array  # [N+1, m] the input held over the tick
     newest: Array  # [N+1, q] the newest arrival of each channel at this tick; NaN: none
-    brought: Array  # [N+1, S, q] the values of each packet that arrives; NaN: none
+    arrivals: Array  # [N+1, S, q] the values of each packet that arrives; NaN: none
     target: Array  # [N+1, r] the set point of a closed loop
     sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if consistency is on
     errors: dict[str, Array]  # [N+1, d] the plant's user-defined errors; empty: none
@@ -46,16 +46,16 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
     start, params, draws = _init_run(layout, p, root_seed, seed)
 
     def read(k: Array, run: Run) -> Recording:
-        brought = _brought(layout, p, k, run)
+        arrivals = _arrivals(layout, p, k, run)
         return Recording(
             x=truth(layout, params, present(p, k, True), run.x),
             estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
             u=closed_loop.add_command_noise(present(p, k, True, run.commands), run.commands).u,
-            newest=_newest(brought),
-            brought=brought,
+            newest=_newest(arrivals),
+            arrivals=arrivals,
             target=closed_loop.set_point_at(layout, p, k),
             sigma=sigma(layout, p, k, run),
-            errors=simulate_runs.own_errors(layout, p, params, k, run),
+            errors=simulate_runs.user_errors(layout, p, params, k, run),
             bounds=_bounds(layout, p, run),
         )
 
@@ -79,11 +79,11 @@ def record_some(
             return Trajectories(
                 x=truth(layout, params, present(p, k, True), run.x),
                 estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
-                newest=_newest(_brought(layout, p, k, run)),
+                newest=_newest(_arrivals(layout, p, k, run)),
                 target=closed_loop.set_point_at(layout, p, k),
                 sigma=sigma(layout, p, k, run),
                 nees={label: (square.nees, square.states) for label, square in squares.items()},
-                errors=simulate_runs.own_errors(layout, p, params, k, run),
+                errors=simulate_runs.user_errors(layout, p, params, k, run),
                 bounds=_bounds(layout, p, run),
             )
 
@@ -157,16 +157,16 @@ def _bounds(layout: Layout, p: GridPointParams, run: Run) -> dict[str, Array]:
     }
 
 
-def _brought(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Array:
+def _arrivals(layout: Layout, p: GridPointParams, k: Array, run: Run) -> Array:
     """Return the values of each packet that arrives at tick k: [S, q], NaN: none."""
     values = run.flight.values[p.schedule.arrive[k] % layout.ring]
     return jnp.where(p.schedule.mask[k], values, jnp.nan)
 
 
-def _newest(brought: Array) -> Array:
+def _newest(arrivals: Array) -> Array:
     """Return the newest arrival of each channel at a tick: [q], NaN: none."""
-    y = brought[0]
-    for value in brought[1:]:
+    y = arrivals[0]
+    for value in arrivals[1:]:
         y = jnp.where(jnp.isnan(value), y, value)
     return y
 
@@ -178,6 +178,6 @@ def jit_record() -> Any:
 
 
 @cache
-def compiled_some() -> Any:
+def jit_record_some() -> Any:
     """Return `record_some` compiled, once for each shape in a process."""
     return program_cache.jit_with_limit(record_some, (0, 1, 2))

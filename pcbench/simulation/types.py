@@ -12,7 +12,7 @@ from pcbench.simulation import command_network, metrics
 
 PerLane = Any  # a LaneArray if it differs between runs, else an Array; inside a function of one run, an Array
 Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
-Notes = dict[str, PerLane]  # snapshots by observer label: [r]
+Snapshots = dict[str, PerLane]  # snapshots by observer label: [r]
 
 
 class Layout(NamedTuple):
@@ -30,7 +30,9 @@ class Layout(NamedTuple):
     commands: int = 0  # rows in the ring of commands, closed loop only
     scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
     pending: int = 0  # room for commands on the network to the plant; 0: an actuator delay
-    defined: bool = False  # simulate by `simulate_runs` itself instead of the equivalent engine
+    by_definition: bool = (
+        False  # simulate by `simulate_runs`, the definition of a run, instead of the equivalent engine
+    )
     consistency: bool = False  # compare errors with the covariances that observers report
 
 
@@ -52,22 +54,20 @@ class GridPointParams(NamedTuple):
     band: Leaf  # [n + s + d] settling band of |e|, with d user-defined errors
     bound: Leaf  # [n + s + d] divergence threshold of |e|
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
-    process_std: Leaf = np.zeros(
-        0
-    )  # [n] std of the noise added to each state at every tick, or an [n, n] root; [0]: none
+    # [n] std of the noise added to each state at every tick, or an [n, n] root; [0]: none
+    process_std: Leaf = np.zeros(0)
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
     control: PyTree = ()  # parameters of the controller
-    line: command_network.Line = command_network.NONE
+    line: command_network.DelayLine = command_network.NO_DELAY_LINE
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), if it is random
-    network: PyTree = ()  # command_network.Numbers, if commands go over a network
+    network: PyTree = ()  # command_network.NetworkParams, if commands go over a network
     weights: PyTree = ()  # metrics.Weights, if the input and cost of a closed loop are summed
     outliers: PyTree = ()  # measurements.Outliers, if there are outliers
     rounding: PyTree = ()  # measurements.Rounding, if samples are quantized
-    tail: PyTree = ()  # degrees of freedom of Student's t noise, if used
+    student_t_dof: PyTree = ()  # degrees of freedom of Student's t noise, if used
     trigger: PyTree = ()  # measurements.Trigger, if sensors decide which samples are sent
-    noise_root: Leaf = np.zeros(
-        (0, 0)
-    )  # [q, q] lower root of the noise correlation between channels; [0, 0]: independent
+    # [q, q] lower root of the noise correlation between channels; [0, 0]: independent
+    noise_root: Leaf = np.zeros((0, 0))
 
 
 class InputWindow(NamedTuple):
@@ -81,7 +81,7 @@ class Packet(NamedTuple):
     """The measurements of one sampling instant."""
 
     values: PerLane  # [q] measured values
-    notes: Notes
+    snapshots: Snapshots
 
 
 class ArrivalInfo(NamedTuple):
@@ -99,9 +99,8 @@ class State(NamedTuple):
     x: PerLane  # [n]
     plant_draws: PyTree  # random numbers of the run's plant, [plant.drawn]; (): none
     memories: PyTree  # Memories; packed between events if each run has its own schedule
-    flight: (
-        PyTree  # packets on the network, in rings; `engine.common_schedule` and `random_schedules` use different forms
-    )
+    # packets on the network, in rings; `engine.common_schedule` and `random_schedules` use different forms
+    flight: PyTree
     streams: dict[str, metrics.ErrorSums]
     watches: dict[str, metrics.SettlingState]
     commands: PyTree = ()  # [R, m] of a closed loop; command_network.Commands over a network

@@ -13,7 +13,7 @@ from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
 from pcbench.scenarios import INTERVAL, Belief, Sampling, Scenario
 from pcbench.scenarios.scenario import LOST, STAMPS, PerChannel, per_channel
-from pcbench.simulation.schedule.sampling import ages, intervals, latest_of_gamma
+from pcbench.simulation.schedule.sampling import ages, gamma_quantile, intervals
 from pcbench.study.axes import AXES, plain
 from pcbench.study.times import SENSOR_FIELDS, clocks, number, require_few_samples, sensors, to_ticks
 
@@ -112,7 +112,7 @@ def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
         mean, shape = number(sensor.sampling.delay_gamma_mean), number(sensor.sampling.delay_gamma_shape)
         if not mean or s.sampling.continuous:
             continue
-        if not (latest := latest_of_gamma(mean, shape)) <= REACH * s.duration:
+        if not (latest := gamma_quantile(mean, shape)) <= REACH * s.duration:
             yield (
                 f"got delay_gamma_mean = {mean:g} s with delay_gamma_shape = {shape:g}, with which one of 10,000 samples "
                 f"has a delay above {latest:.3g} s, expected at most {REACH:g} times the duration of {s.duration:g} s; write a "
@@ -125,7 +125,7 @@ def _of_clocks(s: Scenario, each_sensor: list[Scenario]) -> Iterator[str]:
                 f"got a sampling_jitter of {clock.jitter * s.dt:g} s with intervals down to {least * s.dt:g} s, expected less "
                 f"than half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
-        youngest, lead = ages(clock, ticks)[0], clock.stamp.reach(ticks)[1]
+        youngest, lead = ages(clock, ticks)[0], clock.stamp.max_errors(ticks)[1]
         if lead > (assumed_delay := youngest + to_ticks(error, s)) and lead:
             yield (
                 f"got timestamps up to {lead * s.dt:g} s after the sampling in {s.name}, whose shortest delay is "

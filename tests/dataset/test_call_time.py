@@ -35,7 +35,7 @@ def clock(monkeypatch):
     return SimpleNamespace(ends=ends, costs=costs, start=start)
 
 
-STEPS = SimpleNamespace(layout=SimpleNamespace(defined=False))
+STEPS = SimpleNamespace(layout=SimpleNamespace(by_definition=False))
 
 
 def test_estimate_is_of_ticks_after_the_first_arrival(clock):
@@ -68,5 +68,5 @@ def test_call_is_estimated_from_a_sixteenth_of_its_ticks_at_most(clock):
 
 
 def test_call_of_the_definition_is_not_timed(clock):
-    assert timing.seconds(SimpleNamespace(layout=SimpleNamespace(defined=True)), job(6000)) == 0
+    assert timing.seconds(SimpleNamespace(layout=SimpleNamespace(by_definition=True)), job(6000)) == 0
     assert not clock.ends

@@ -86,7 +86,7 @@ def test_a_trace_has_the_input_beside_the_states():
 def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_next(seed):
     rng, jumps = np.random.default_rng(seed), np.array([7, 12, 30, 2**30])
     e, band = rng.standard_normal((40, 2)), np.array([1.0, 2.5])
-    look, watch = jax.jit(metrics.update_settling), metrics.start_watch(2)
+    look, watch = jax.jit(metrics.update_settling), metrics.initial_settling(2)
     for tick in range(40):
         watch = look(watch, np.asarray(tick), e[tick], band, np.full(2, 99.0), jumps)
     want = np.zeros(2)

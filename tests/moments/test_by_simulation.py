@@ -64,7 +64,7 @@ def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
     p = GridPointParams(
         (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([noise]), np.ones(2), np.full(2, 1e6), np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]),
-        process_std=PROCESS, control=Law(K, np.asarray(limit)), line=command_network.held_line(AWAY, BACK, N + 4),
+        process_std=PROCESS, control=Law(K, np.asarray(limit)), line=command_network.constant_delay_line(AWAY, BACK, N + 4),
         weights=metrics.Weights(Q1, Q2, X_REF, U_REF),
     )  # fmt: skip
     layout = Layout(PLANT, (("o", observer),), 1, 4, True, watch=False, controller=CONTROLLER, commands=BACK)

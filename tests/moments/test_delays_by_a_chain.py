@@ -32,7 +32,7 @@ STUDY = {
 
 def by_impulses(seed, driven):
     """Mean square [3] over ticks 0 .. N-1 of kf's errors on the schedule of one run, and the ages of its samples."""
-    clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
+    clock = Clock((0, 1), TE, LATE, delay_values=tuple(STEPS), delay_self_transition=tuple(STAY))
     drawn = random_times.draw_samples([clock], N, 2, 0, seed)
     times = [[(s.tick, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
     ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
@@ -122,7 +122,7 @@ def test_as_an_axis_it_is_a_column_and_else_there_is_none():
         (0.2, "0, 0.1"),
         (0.8, "0, 0.1"),
     ]
-    assert cells[1].times.clocks[0].stay == (0.8, 0.8)
+    assert cells[1].times.clocks[0].delay_self_transition == (0.8, 0.8)
 
 
 def test_one_or_one_for_each_stand_in_one_column():

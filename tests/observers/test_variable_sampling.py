@@ -30,7 +30,7 @@ WILD = {  # ticks
     "sampling_jitter": Clock((0,), 50, 80, "periodic", 20, 0, 0.0),
     "loss": Clock((0,), 50, 30, "periodic", 0, 0, 0.4),
     "disorder": Clock((0,), 30, 40, "periodic", 10, 120, 0.2),
-    "turns": Clock((0,), 42, 20, (30, 50, 45), turns=(0, 90, LOST, 10, 60)),
+    "turns": Clock((0,), 42, 20, (30, 50, 45), delay_sequence=(0, 90, LOST, 10, 60)),
 }
 CHOICES = {
     "pccebo": [{}],
@@ -67,9 +67,11 @@ def wild(case, clock, observer, options):
     with config.float64():
         run = [clock], case.ticks
         samples = (
-            random_times.draw_samples(*run, channels, 0, case.seed) if clock.random else common_times.samples(*run)
+            random_times.draw_samples(*run, channels, 0, case.seed) if clock.random else common_times.samples_of(*run)
         )
-    plan = common_times.pad_slots(common_times.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
+    plan = common_times.pad_slots(
+        common_times.schedule(samples, case.ticks, channels), 4 if clock.max_extra_delay else 1
+    )
     known = context_of(case)._replace(
         oosm_lag=random_times.max_oosm_lag([clock], case.ticks),
         intervals=tuple(sampling.intervals(clock, case.ticks)),

@@ -58,7 +58,7 @@ def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
     """Gamma distributions of two means have tables of two lengths, and every sample its own delay."""
     before = drafts({"delay_gamma_mean": [0.05, 0.4], "delay_gamma_shape": [3.0]}, ("model-only",))
     after = padding.fit(before)
-    assert before[0].problem.schedule.share.shape != before[1].problem.schedule.share.shape
+    assert before[0].problem.schedule.delay_cdf.shape != before[1].problem.schedule.delay_cdf.shape
     assert len({padding.key_of(p) for p in after}) == 1
     for small, p in zip(before, after, strict=True):
         with config.float64():

@@ -95,7 +95,7 @@ def test_the_schedule_is_that_of_a_processor_that_computes_one_sample_at_a_time(
     clock = Clock((0, 1), period, late, phase=phase)
     found = processor.load_of(cost, clock, ticks, float(speed), h)
     times = processor.with_load(Timing(ticks, 0, 0, [clock]), found)
-    samples = common_times.samples(times.clocks, ticks)
+    samples = common_times.samples_of(times.clocks, ticks)
     want = [s for s in reference.used(w, delay, period, phase, ticks) if s[2] <= ticks]
     for channel in (0, 1):
         assert [(s.number, s.tick, s.arrives) for s in samples if s.channel == channel and s.arrives <= ticks] == want

@@ -45,20 +45,20 @@ def test_the_input_is_the_command_of_the_middle_of_the_tick(mean, part, pace, k,
         return mean * (1 - part * np.sin(pace * t) ** 2) + 0.0005 * part  # never below half a tick
 
     rows = command_network.rows_needed(delay, DT, N, 100)
-    line = command_network.line(delay, DT, rows, N)
+    line = command_network.delay_line(delay, DT, rows, N)
     found = read(line, ring(rows, k), jnp.asarray(k - age), jnp.asarray(k))
     np.testing.assert_allclose(found, expected(delay, k - age, k), rtol=0, atol=1e-10)
 
 
 def test_without_delay_it_is_the_command_of_the_tick():
-    line = command_network.line(np.zeros_like, DT, 8, N)
+    line = command_network.delay_line(np.zeros_like, DT, 8, N)
     for k in (0, 1, 7, 300):
         np.testing.assert_array_equal(read(line, ring(8, k), jnp.asarray(k), jnp.asarray(k)), command(k))
 
 
 def test_what_is_not_yet_decided_is_taken_for_the_newest():
     """Looking ahead: commands up to tick 99, ticks whose input needs later ones."""
-    line = command_network.line(lambda t: np.full(np.shape(t), 0.025), DT, 64, N + 64)
+    line = command_network.delay_line(lambda t: np.full(np.shape(t), 0.025), DT, 64, N + 64)
     for ahead in (0, 10, 24, 25, 40):
         n = 100 + ahead
         known = [command(min(n - 25 + i, 99)) for i in (0, 1)]
@@ -74,7 +74,7 @@ def test_a_ring_never_gives_another_ticks_command(k):
         return np.full(np.shape(t), 0.025)
 
     rows, oldest = command_network.rows_needed(delay, DT, N, 30), 30
-    line = command_network.line(delay, DT, rows, N)
+    line = command_network.delay_line(delay, DT, rows, N)
     ages = np.arange(rows + 5)
     found = np.array([read(line, ring(rows, k), jnp.asarray(k - age), jnp.asarray(k)) for age in ages])
     kept = np.isfinite(found).all(1)

@@ -23,7 +23,7 @@ MANY, RUNS = 2000, 16
 
 def arrivals(clock):
     """(taken, arrives) [MANY, RUNS] of one clock that samples at every tick."""
-    t = jax.tree.map(jnp.asarray, random_times.times([clock], MANY - 1, 1, 0))
+    t = jax.tree.map(jnp.asarray, random_times.clock_params([clock], MANY - 1, 1, 0))
     return [np.asarray(a) for a in random_times.clock_times(t, 0, jnp.asarray(0), jnp.arange(RUNS))]
 
 
@@ -53,11 +53,11 @@ def test_the_burst_that_losses_of_their_own_leave_is_those_losses():
 
 @pytest.mark.ci
 def test_a_histogram_has_its_shares_and_each_delay_is_by_itself():
-    clock = Clock((0,), 1, 3, steps=(0, 7, 2), share=(0.5, 0.2, 0.3))
+    clock = Clock((0,), 1, 3, delay_values=(0, 7, 2), delay_weights=(0.5, 0.2, 0.3))
     taken, arrives = arrivals(clock)
     late = arrives - taken - 3
-    shares = [(late == step).mean() for step in clock.steps]
-    np.testing.assert_allclose(shares, clock.share, rtol=0, atol=4 * 0.5 / np.sqrt(late.size))
+    shares = [(late == step).mean() for step in clock.delay_values]
+    np.testing.assert_allclose(shares, clock.delay_weights, rtol=0, atol=4 * 0.5 / np.sqrt(late.size))
     again = ((late[1:] == 7) & (late[:-1] == 7)).mean()
     assert abs(again - 0.2**2) < 4 * np.sqrt(0.04 / late.size)
 
@@ -71,7 +71,7 @@ def test_a_gamma_distribution_is_in_whole_ticks_as_scipy_has_it(mean, shape):
     np.testing.assert_allclose(share[:-1], law.cdf(ticks + 0.5) - law.cdf(ticks - 0.5), rtol=0, atol=1e-12)
     assert share.sum() == pytest.approx(1.0, abs=1e-12)
     assert law.sf(len(share) - 1.5) < 2e-4 < law.sf(0.9 * len(share) - 2)
-    taken, arrives = arrivals(Clock((0,), 1, 3, steps=tuple(range(len(share))), share=tuple(share)))
+    taken, arrives = arrivals(Clock((0,), 1, 3, delay_values=tuple(range(len(share))), delay_weights=tuple(share)))
     late = (arrives - taken - 3).ravel()
     assert late.mean() == pytest.approx(mean, abs=4 * mean / np.sqrt(shape * late.size) + 0.05)
 
@@ -81,11 +81,11 @@ def test_a_study_says_them_in_seconds_and_designers_know_the_mean():
         PLAIN | {"lti": PLAIN["lti"] | {"delay_gamma_mean": 0.4, "delay_gamma_shape": 2.0}}, {}, []
     ).cells
     (clock,) = cell.times.clocks
-    np.testing.assert_allclose(clock.share, sampling.gamma(4.0, 2.0), rtol=1e-12)
-    assert (clock.steps, clock.later) == (tuple(range(len(clock.share))), 4)
+    np.testing.assert_allclose(clock.delay_weights, sampling.gamma(4.0, 2.0), rtol=1e-12)
+    assert (clock.delay_values, clock.mean_extra_delay) == (tuple(range(len(clock.delay_weights))), 4)
     told = {"delay_values": [0.0, 0.3], "delay_weights": [3.0, 1.0]}
     (cell,) = parse.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
-    assert (cell.times.clocks[0].share, cell.times.clocks[0].steps) == ((0.75, 0.25), (0, 3))
+    assert (cell.times.clocks[0].delay_weights, cell.times.clocks[0].delay_values) == ((0.75, 0.25), (0, 3))
 
 
 def test_losses_in_a_row_have_no_recursion():

@@ -31,7 +31,7 @@ def drawn(draw, stream, channel, index, *shape):
 def run():
     """One run with all of it, and its inputs; measuring began before tick 0."""
     layout, p = problem(CASE, {"model-only": {}})
-    found = common_times.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
+    found = common_times.samples_of([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
     plan = common_times.pad_slots(common_times.schedule(found, CASE.ticks, 2), SLOTS)
     p = p._replace(schedule=plan, process_std=STD, spread0=ROOT, scatter=SCATTER)
     layout = layout._replace(random_initial_state=True, scattered=True)

@@ -68,7 +68,7 @@ def test_what_is_sent_and_both_filters_equal_the_reference(name):
         for s in samples
         if s.arrival <= ODD_CASE.ticks and (s.taken, s.channel) in messages
     }
-    brought = np.asarray(found.brought).reshape(ODD_CASE.ticks + 1, -1, 2)
+    brought = np.asarray(found.arrivals).reshape(ODD_CASE.ticks + 1, -1, 2)
     got = {(k - ODD_CASE.d, j): brought[k, slot, j] for k, slot, j in zip(*np.nonzero(~np.isnan(brought)), strict=True)}
     assert got == pytest.approx(arrived, rel=1e-10)
     assert 0.05 < len(arrived) / len(samples) < 0.95

@@ -26,7 +26,7 @@ from pcbench.simulation.types import GridPointParams, Layout
 WIDE = 40
 QUICK = hurried.options()
 CLOCK_TIMES = jax.jit(random_times.clock_times, compiler_options=QUICK)
-TIMES = random_times.times
+TIMES = random_times.clock_params
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -38,13 +38,13 @@ def small_chunks():
 
 def times_of(clocks, ticks, channels, error):
     """One shape for every period."""
-    return random_times.pad_times(TIMES(clocks, ticks, channels, error), ticks + 20)
+    return random_times.pad_clock_params(TIMES(clocks, ticks, channels, error), ticks + 20)
 
 
 def samples_of(clocks, ticks, channels, seed):
     """`random_times.draw_samples`, compiled once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(random_times, "times", times_of)
+        patch.setattr(random_times, "clock_params", times_of)
         patch.setattr(random_times, "clock_times", CLOCK_TIMES)
         return random_times.draw_samples(clocks, ticks, channels, 0, seed)
 
@@ -108,7 +108,7 @@ PAIRS = {  # channels 0 and 2 are one clock's
     "nothing random but losses": [Clock((0, 2), 7, 4, loss=0.3), Clock((1,), 5, None, "sine", loss=0.5)],
     "sampling_jitter": [Clock((0, 2), 9, None, "uniform", 2), Clock((1,), 6, 3, (5, 8, 6), 2)],
     "disorder and loss": [Clock((0, 2), 5, 2, "uniform", 1, 25, 0.2), Clock((1,), 4, None, "periodic", 1, 30, 0.4)],
-    "together": [Clock((0, 2), 6, 4, loss=0.3), Clock((1,), 3, 4, spread=3, loss=0.2)],
+    "together": [Clock((0, 2), 6, 4, loss=0.3), Clock((1,), 3, 4, delay_jitter=3, loss=0.2)],
     "always": [Clock((0, 2), 1, 3, "periodic", 0, 2), Clock((1,), 1, 0, "periodic", 0, 2)],
 }
 

@@ -45,7 +45,7 @@ def test_every_metric_equals_that_of_the_trace(trace, runs, observer, signal):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 11.0])
 def test_the_first_bad_tick_is_kept_whatever_made_it_bad(bad):
-    watch, band = metrics.start_watch(2), np.array([1.0, 1.0])
+    watch, band = metrics.initial_settling(2), np.array([1.0, 1.0])
     for tick, e in enumerate([0.5, 9.0, bad, 0.1, bad]):
         watch = metrics.update_settling(
             watch, np.asarray(tick), np.array([0.0, e]), band, np.full(2, 10.0), np.zeros(0, int)
@@ -54,7 +54,7 @@ def test_the_first_bad_tick_is_kept_whatever_made_it_bad(bad):
 
 
 def test_settling_is_the_last_exit_not_the_first_entry():
-    watch, band = metrics.start_watch(1), np.array([1.0])
+    watch, band = metrics.initial_settling(1), np.array([1.0])
     for tick, e in enumerate([3.0, 0.2, -2.0, 0.5, 0.1]):
         watch = metrics.update_settling(
             watch, np.asarray(tick), np.array([e]), band, np.full(1, 10.0), np.zeros(0, int)
@@ -64,7 +64,7 @@ def test_settling_is_the_last_exit_not_the_first_entry():
 
 def read(e, tail, dt=0.5, band=1.0, bound=10.0, jumps=(), tracking=None):
     """The metrics of errors e [N], taken in tick by tick, one run."""
-    N, watch, jumps = len(e), metrics.start_watch(1), np.array(jumps, int)
+    N, watch, jumps = len(e), metrics.initial_settling(1), np.array(jumps, int)
     for tick, value in enumerate(e):
         watch = metrics.update_settling(
             watch, np.asarray(tick), np.array([value]), np.array([band]), np.array([bound]), jumps

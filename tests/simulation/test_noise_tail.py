@@ -24,12 +24,12 @@ def tailed(degrees, **given):
 def test_it_is_students_distribution_and_of_variance_one(n):
     """Of 50,000 draws by Kolmogorov and Smirnov's test: p above 0.01 for these seeds; and it goes to the normal as n grows."""
     w, z = np.random.default_rng(8).normal(size=(2, 50_000))
-    v = np.asarray(measurements.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(n)))
+    v = np.asarray(measurements.student_t(jnp.asarray(w), jnp.asarray(z), jnp.asarray(n)))
     assert stats.kstest(v / np.sqrt((n - 2) / n), stats.t(n).cdf).pvalue > 0.01
     assert np.all(np.sign(v) == np.sign(w))
-    normal = measurements.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(1e9))
+    normal = measurements.student_t(jnp.asarray(w), jnp.asarray(z), jnp.asarray(1e9))
     np.testing.assert_allclose(normal, w, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(measurements.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(np.inf)), w)
+    np.testing.assert_array_equal(measurements.student_t(jnp.asarray(w), jnp.asarray(z), jnp.asarray(np.inf)), w)
 
 
 @pytest.mark.ci

@@ -30,7 +30,9 @@ def samples(**given):
     (cell,) = parse.grid_of(having(**given), {}, []).cells
     t = times.times_of(cell.scenario)
     every = (
-        random_times.draw_samples(t.clocks, t.ticks, 2, 0, 1) if t.random else common_times.samples(t.clocks, t.ticks)
+        random_times.draw_samples(t.clocks, t.ticks, 2, 0, 1)
+        if t.random
+        else common_times.samples_of(t.clocks, t.ticks)
     )
     return [[(s.number, s.tick, s.arrives) for s in every if s.channel == j] for j in range(2)]
 

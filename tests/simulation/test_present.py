@@ -10,7 +10,7 @@ from pcbench.simulation.types import GridPointParams, present
 INPUTS = np.array([[3.0, -1.0], [4.0, -1.5], [5.0, 9.0], [2.0, 6.0], [-7.0, 8.0]])
 
 
-def at(tick, decided, commands=(), line=command_network.NONE):
+def at(tick, decided, commands=(), line=command_network.NO_DELAY_LINE):
     numbers = (np.zeros(1),) * 8
     p = GridPointParams((), {}, (), jnp.asarray(INPUTS), jnp.asarray(0.5), *numbers[:7], line=line)
     return present(p, jnp.asarray(tick), decided, commands)
@@ -36,7 +36,7 @@ def test_time_is_that_of_the_tick_in_seconds():
 
 def test_in_a_closed_loop_the_input_of_now_is_the_command_that_has_become_of_age():
     """Commands act two ticks later; the command of now is given to tick 4 once it is decided."""
-    line = command_network.line(lambda t: np.full(np.shape(t), 1.0), 0.5, 8, 12)
+    line = command_network.delay_line(lambda t: np.full(np.shape(t), 1.0), 0.5, 8, 12)
     commands = jnp.asarray(np.arange(8.0)[:, None] ** 2)  # of ticks 0 .. 7, in rows of their own
     for tick in (5, 6, 7):
         half = [np.mean([(tick - 2) ** 2, (tick - 1) ** 2])]  # the middle of the tick less two ticks
@@ -46,7 +46,7 @@ def test_in_a_closed_loop_the_input_of_now_is_the_command_that_has_become_of_age
     stale = commands.at[6].set(np.nan)  # the row of tick 6 until its command is put there
     np.testing.assert_array_equal(at(6, False, stale, line).past_u(jnp.asarray(0)), [np.mean([16, 25])])
     np.testing.assert_array_equal(
-        at(6, False, stale, command_network.line(np.zeros_like, 0.5, 8, 12)).past_u(jnp.asarray(0)), [25]
+        at(6, False, stale, command_network.delay_line(np.zeros_like, 0.5, 8, 12)).past_u(jnp.asarray(0)), [25]
     )
-    straight = command_network.line(np.zeros_like, 0.5, 8, 12)
+    straight = command_network.delay_line(np.zeros_like, 0.5, 8, 12)
     assert at(7, True, commands, straight).u == 49.0

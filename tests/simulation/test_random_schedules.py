@@ -179,7 +179,7 @@ def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, c
 
 
 def test_a_stamp_that_drifts_beyond_the_horizon_asks_for_more_room():
-    clock = Clock((0,), 1, None, "uniform", loss=0.1, steps=(4, 25, 1), share=(0.2, 0.3, 0.5), burst=9.5)
+    clock = Clock((0,), 1, None, "uniform", loss=0.1, delay_values=(4, 25, 1), delay_weights=(0.2, 0.3, 0.5), burst=9.5)
     never_overwritten([clock._replace(stamp=Stamp(-3, -0.06, 0))], 28, 1, 25)
 
 
@@ -206,7 +206,7 @@ def test_the_lag_that_is_claimed_beforehand_occurs(clocks, most):
 
 def test_a_sample_is_overtaken_by_no_more_than_all_others_of_its_run():
     """As late as may be, in a run of 17 samples: room for more would only be compiled."""
-    clock = Clock((0,), 6, 6, spread=900)
+    clock = Clock((0,), 6, 6, delay_jitter=900)
     assert random_times.max_oosm_lag([clock], 100) == 16
     assert random_times.max_oosm_lag([clock, clock._replace(channels=(1,))], 100) == 33
     assert random_times.max_oosm_lag([clock], 5000) == 149
@@ -304,7 +304,7 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
                 slot,
                 arrives - last[0],
             )
-            assert set(np.flatnonzero(plan.brings[:, i, lane])) == clocks_of
+            assert set(np.flatnonzero(plan.mask[:, i, lane])) == clocks_of
 
 
 PAIR = [Clock((0, 2), 9, None, "uniform", 1, 12, 0.3), Clock((1,), 7, 5, "sine", 1, 20, 0.5)]

@@ -116,7 +116,10 @@ def test_padding_adds_only_empty_slots():
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
-    fast, slow = common_times.at_every_tick(50, channels), common_times.periodic([1] * channels, [0] * channels, 50)
+    fast, slow = (
+        common_times.every_tick_schedule(50, channels),
+        common_times.periodic([1] * channels, [0] * channels, 50),
+    )
     for name, a, b in zip(fast._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name)
         assert a.dtype == b.dtype, name
@@ -126,11 +129,11 @@ def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
 @given(st.integers(1, 40), st.none() | st.integers(0, 90), st.integers(1, 120), st.sampled_from(((0,), (0, 1), (2, 0))))
 def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period, delay, ticks, channels):
     clock = sampling.Clock(channels, period, delay)
-    in_turn = clock._replace(turns=(0,))  # late by nothing in turn: the same samples, one by one
+    in_turn = clock._replace(delay_sequence=(0,))  # late by nothing in turn: the same samples, one by one
     assert clock.plain
     assert not in_turn.plain
-    each = common_times.samples([in_turn], ticks)
-    assert common_times.samples([clock], ticks) == each
+    each = common_times.samples_of([in_turn], ticks)
+    assert common_times.samples_of([clock], ticks) == each
     (fast, many), slow = common_times.plain_clock(clock, ticks, 3), schedule(each, ticks, 3)
     for name, a, b in zip(common_times.Schedule._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name, strict=True)

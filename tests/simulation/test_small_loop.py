@@ -69,7 +69,7 @@ def outcome():
     p = GridPointParams(
         (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([NOISE]), BAND, BOUND, np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]), control=law,
-        line=command_network.line(late, DT, BACK, N + 4),
+        line=command_network.delay_line(late, DT, BACK, N + 4),
     )  # fmt: skip
     layout = Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
     with config.float64():

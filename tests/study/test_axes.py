@@ -60,7 +60,7 @@ def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():
     assert times.clocks(mixed) == [Clock((0, 2), 1, 2, *rest), Clock((1,), 1, 5, *rest)]
     (clock,) = times.clocks(LOOP)
     assert (clock.channels, clock.period, clock.delay, clock.early) == ((0, 1), 200, 30, True)
-    assert clock.swing == pytest.approx((15.0, 2e-3))
+    assert clock.delay_sine == pytest.approx((15.0, 2e-3))
 
 
 def test_commands_are_as_late_as_samples_unless_said_and_swing_with_them():

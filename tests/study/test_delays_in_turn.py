@@ -77,7 +77,7 @@ def test_several_logs_are_several_scenarios(tmp_path):
     tables = {name: {"base": "cart/gaussian", "delay": f"in-turn:{tmp_path / name}"} for name in ("lab", "field")}
     grid = parse.grid({"name": "two", "scenarios": tables, "observers": ["kf"]}, "two", parse.FROM_HERE)
     lab, field = (cell.times.clocks[0] for cell in grid.cells)
-    assert lab.turns != field.turns
+    assert lab.delay_sequence != field.delay_sequence
     assert lab.profile != field.profile
 
 

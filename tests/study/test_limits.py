@@ -31,15 +31,15 @@ def test_samples_are_counted_by_the_shortest_interval():
 def test_samples_on_their_way_are_counted_by_the_longest_delay():
     ticks = 200_000
     times.require_few_samples([Clock((0,), 2, 20_000)], ticks, 1e-3, "test")
-    for clock in (Clock((0,), 2, 20_002), Clock((0,), 2, 20_001, spread=1)):
+    for clock in (Clock((0,), 2, 20_002), Clock((0,), 2, 20_001, delay_jitter=1)):
         with pytest.raises(UserError, match=r"up to 20\.002 s with samples every 0\.002 s"):
             times.require_few_samples([clock], ticks, 1e-3, "test")
 
 
 def test_samples_may_be_overtaken_by_so_many_newer_ones_and_no_more():
-    times.require_few_samples([Clock((0,), 1, 5, spread=times.MAX_OOSM_LAG + 1)], 5000, 1e-3, "test")
+    times.require_few_samples([Clock((0,), 1, 5, delay_jitter=times.MAX_OOSM_LAG + 1)], 5000, 1e-3, "test")
     with pytest.raises(UserError, match=r"that may arrive after up to 1,001 newer ones"):
-        times.require_few_samples([Clock((0,), 1, 5, spread=times.MAX_OOSM_LAG + 2)], 5000, 1e-3, "test")
+        times.require_few_samples([Clock((0,), 1, 5, delay_jitter=times.MAX_OOSM_LAG + 2)], 5000, 1e-3, "test")
 
 
 @pytest.mark.parametrize(("cells", "ticks"), [(times.CELLS, 100), (100, times.CELL_TICKS // 100)])

@@ -19,18 +19,18 @@ LONGEST = 100  # ticks
 QUICK = {"xla_backend_optimization_level": 0}  # whole numbers come out the same, compiled five times as fast
 AGENDA = jax.jit(event_table.event_table, compiler_options=QUICK)
 CLOCK_TIMES = jax.jit(random_times.clock_times, compiler_options=QUICK)
-TIMES = random_times.times
+TIMES = random_times.clock_params
 
 
 def roomy(*given):
-    """`random_times.times` in one shape for every horizon and period; that it changes nothing is tested below."""
-    return random_times.pad_times(TIMES(*given), ROOM + 1)
+    """`random_times.clock_params` in one shape for every horizon and period; that it changes nothing is tested below."""
+    return random_times.pad_clock_params(TIMES(*given), ROOM + 1)
 
 
 def realised(clocks, ticks, seed, root=0, times=roomy):
     """`random_times.draw_samples`, compiled once for each number of clocks and channels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(random_times, "times", times)
+        patch.setattr(random_times, "clock_params", times)
         patch.setattr(random_times, "clock_times", CLOCK_TIMES)
         return random_times.draw_samples(clocks, ticks, width(clocks), root, seed)
 
@@ -66,21 +66,26 @@ def shortest(clock):
 
 def chain(clock, uniform):
     """The step of each sample's delay: by how often it is there in the long run, then from one to the next."""
-    many = len(clock.steps)
+    many = len(clock.delay_values)
     if not many:
         return [0] * len(uniform)
-    if clock.share:
-        return [clock.steps[min(int(np.sum(u >= np.cumsum(clock.share))), many - 1)] for u in uniform]
-    moves = np.array([[p if i == j else (1 - p) / (many - 1) for j in range(many)] for i, p in enumerate(clock.stay)])
+    if clock.delay_weights:
+        return [clock.delay_values[min(int(np.sum(u >= np.cumsum(clock.delay_weights))), many - 1)] for u in uniform]
+    moves = np.array(
+        [
+            [p if i == j else (1 - p) / (many - 1) for j in range(many)]
+            for i, p in enumerate(clock.delay_self_transition)
+        ]
+    )
     share = np.linalg.matrix_power(moves + 1e-3 * (np.eye(many) - moves), 2**40)[0]  # lazier, so that it forgets
     now = int(np.searchsorted(np.cumsum(share)[:-1], uniform[0], side="right"))
-    out = [clock.steps[now]]
+    out = [clock.delay_values[now]]
     for u in uniform[1:]:
-        stay = clock.stay[now]
+        stay = clock.delay_self_transition[now]
         if u >= stay:
             others = [(now + 1 + k) % many for k in range(many - 1)]
             now = others[int((u - stay) / (1 - stay) * (many - 1))]
-        out.append(clock.steps[now])
+        out.append(clock.delay_values[now])
     return out
 
 
@@ -99,7 +104,7 @@ def one_clock(clock, ticks, root, seed):
         taken.append(due + int(u[i][1] * (2 * clock.jitter + 1)) - clock.jitter)
     steps, lost = chain(clock, [each[4] for each in u]), False
     for i in range(ROOM):
-        late = int(u[i][2] * (clock.spread + 1)) + steps[i]
+        late = int(u[i][2] * (clock.delay_jitter + 1)) + steps[i]
         arrives = (taken[i + 1] if clock.delay is None else taken[i] + clock.delay) + late
         lost = u[i][3] < chance(clock, lost if i else None)
         interrupted = clock.outage[0] <= taken[i] < clock.outage[1]
@@ -143,7 +148,7 @@ def any_clock(draw, channels):
     clock = Clock(channels, period, delay, profile)
     return clock._replace(
         jitter=draw(st.integers(0, (shortest(clock) - 1) // 2)),
-        spread=draw(st.sampled_from([0, 0, 1, 7, 30])),
+        delay_jitter=draw(st.sampled_from([0, 0, 1, 7, 30])),
         loss=draw(st.sampled_from([0.0, 0.0, 0.3, 0.9, 1.0])),
         phase=draw(st.sampled_from([0, 0, 1, 13])),
         outage=draw(st.sampled_from([(0, 0), (0, 0), (10, 45)])),
@@ -152,14 +157,17 @@ def any_clock(draw, channels):
 
 @st.composite
 def any_clocks(draw):
-    steps = {"steps": (4, 25, 1)}
-    chained, shared = steps | {"stay": (0.0, 0.5, 0.9)}, steps | {"share": (0.2, 0.3, 0.5)}
-    pair, one_of_two = {"steps": (0, 9), "stay": (0.3, 0.8)}, {"steps": (3, 7), "share": (0.4, 0.6)}
+    steps = {"delay_values": (4, 25, 1)}
+    chained, shared = steps | {"delay_self_transition": (0.0, 0.5, 0.9)}, steps | {"delay_weights": (0.2, 0.3, 0.5)}
+    pair, one_of_two = (
+        {"delay_values": (0, 9), "delay_self_transition": (0.3, 0.8)},
+        {"delay_values": (3, 7), "delay_weights": (0.4, 0.6)},
+    )
     laws = [[{}], [{}], [chained], [shared], [chained, pair], [pair, {}], [chained, one_of_two], [one_of_two, chained]]
     channels = draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
     law = draw(st.sampled_from(laws))
     clocks = [draw(any_clock(each))._replace(**law[j % len(law)]) for j, each in enumerate(channels)]
-    return with_faults(draw, clocks) if any("share" in each for each in law) else clocks
+    return with_faults(draw, clocks) if any("delay_weights" in each for each in law) else clocks
 
 
 def with_faults(draw, clocks):
@@ -167,7 +175,7 @@ def with_faults(draw, clocks):
     stamp = draw(st.sampled_from([Stamp(-3, -0.06, 2), Stamp(2, 0.02, 1), Stamp(0, -0.1, 0)]))
     if 2 * stamp.jitter >= 0.9 * min(shortest(c) - 2 * c.jitter for c in clocks) - 1:
         stamp = stamp._replace(jitter=0)
-    if stamp.reach(LONGEST)[1] > youngest(clocks):
+    if stamp.max_errors(LONGEST)[1] > youngest(clocks):
         stamp = Stamp(-1)
     return [c._replace(stamp=stamp, burst=9.5, loss=min(c.loss, 0.9) or 0.1) for c in clocks]
 
@@ -178,7 +186,7 @@ def youngest(clocks):
 
 def misjudged(data, clocks):
     """A delay error that leaves every age at 0 or more."""
-    least = max(youngest(clocks) - clocks[0].stamp.reach(LONGEST)[1], 0)
+    least = max(youngest(clocks) - clocks[0].stamp.max_errors(LONGEST)[1], 0)
     return data.draw(st.sampled_from([0, 0, -least, 1, 25]))
 
 

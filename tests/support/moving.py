@@ -86,7 +86,7 @@ def moments(loop, cases):
             nothing + loop.x0, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),
             np.array([[0, N // 2], [N // 2, N - 1], [N - 1, N]]), control=case.params,
             process_std=np.linalg.cholesky(noise_of_a_tick(loop.A, loop.B @ loop.B.T, loop.tick)),
-            line=command_network.held_line(0, 4, N + 4),
+            line=command_network.constant_delay_line(0, 4, N + 4),
         )  # fmt: skip
         layout = Layout(plant, (("o", observer),), 1, 1, False, watch=False, controller=law, commands=4)
         ones.append(Realisation(layout, p, (), case.chance))

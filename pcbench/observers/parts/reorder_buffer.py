@@ -27,7 +27,7 @@ class Measurement(NamedTuple):
     tick: Int[Array, "..."]  # sampling tick according to the timestamp
     value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
     mask: Bool[Array, "... q"]
-    snapshot: Float[Array, "... noted"]
+    snapshot: Float[Array, "... snapshot"]
     variance_ratio: Float[Array, "... q"] | None = None  # as in `Arrival`
 
     def variances(self, R: Float[Leaf, " q"]) -> Float[Leaf, " q"]:

@@ -45,12 +45,12 @@ class Sample(NamedTuple):
     arrives: int  # tick, not before `tick`; NEVER: lost
     timestamp_error: int = 0  # timestamp minus `tick` [ticks]
 
-    def stamp(self, error: int) -> int:
+    def assumed_tick(self, error: int) -> int:
         """Return the assumed sampling tick, `error` ticks earlier; for a sample from before tick 0 the true one."""
         return max(self.tick - error + self.timestamp_error, 0) if self.tick >= 0 else self.tick
 
 
-def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
+def samples_of(clocks: list[Clock], ticks: int) -> list[Sample]:
     """Return every sample of clocks without randomness, taken up to tick `ticks`, from tick 0 or before (`Clock.early`)."""
     out = []
     for clock in clocks:
@@ -62,9 +62,9 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
         due, last = instants(clock, ticks), None
         for i, tick in enumerate(due[:-1]):
             arrives = due[i + 1] if clock.delay is None else tick + clock.delay
-            if clock.turns:
-                turn = clock.turns[i % len(clock.turns)]
-                arrives = NEVER if turn == LOST else arrives + turn
+            if clock.delay_sequence:
+                extra_delay = clock.delay_sequence[i % len(clock.delay_sequence)]
+                arrives = NEVER if extra_delay == LOST else arrives + extra_delay
             if clock.early:
                 tick, arrives = tick - age(clock, tick), tick
                 if tick == last:  # the delay grows as fast as time: no new sample arrives
@@ -72,20 +72,21 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
                 last = tick
             if clock.outage[0] <= tick < clock.outage[1]:
                 arrives = NEVER
-            offset = clock.stamp.ahead(tick)
+            offset = clock.stamp.error_at(tick)
             out += [Sample(channel, i * clock.stride, tick, arrives, offset) for channel in clock.channels]
     return out
 
 
 def times_of_samples(clocks: list[Clock], ticks: int) -> NDArray[np.int64]:
-    """Return (arrival tick, sampling tick, channel) of each of the `samples`, [m, 3]; vectorized for plain clocks."""
+    """Return (arrival tick, sampling tick, channel) of each of `samples_of`, [m, 3]; vectorized for plain clocks."""
     if not all(clock.plain for clock in clocks):
-        return np.array([(s.arrives, s.tick, s.channel) for s in samples(clocks, ticks)], int).reshape(-1, 3)
+        return np.array([(s.arrives, s.tick, s.channel) for s in samples_of(clocks, ticks)], int).reshape(-1, 3)
     tables = []
     for clock in clocks:
-        instants = np.repeat(np.arange(0, ticks + 1, clock.period), len(clock.channels))
+        sampling_ticks = np.repeat(np.arange(0, ticks + 1, clock.period), len(clock.channels))
         delay = clock.period if clock.delay is None else clock.delay
-        tables.append(np.stack([instants + delay, instants, np.resize(clock.channels, len(instants))], 1))
+        channels = np.resize(clock.channels, len(sampling_ticks))
+        tables.append(np.stack([sampling_ticks + delay, sampling_ticks, channels], 1))
     return np.concatenate(tables)
 
 
@@ -110,17 +111,17 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     - They take a snapshot at the assumed sampling tick. A negative error must leave every age at 0 or more.
     - A sample taken before tick 0 measures the initial state.
     """
-    instants = sorted({s.tick for s in samples if s.tick <= ticks})
-    packet = {tick: i for i, tick in enumerate(instants)}
+    sampling_ticks = sorted({s.tick for s in samples if s.tick <= ticks})
+    packet = {tick: i for i, tick in enumerate(sampling_ticks)}
     by_arrival: dict[int, dict[int, list[Sample]]] = {}
     for s in samples:
         if s.tick <= ticks and s.arrives <= ticks:
             by_arrival.setdefault(s.arrives, {}).setdefault(s.tick, []).append(s)
     slots = max((len(group) for group in by_arrival.values()), default=1)
-    stamps = {s.tick: max(s.tick - error + s.timestamp_error, 0) for s in samples}
+    timestamps = {s.tick: max(s.tick - error + s.timestamp_error, 0) for s in samples}
     snapshots = _snapshots_by_tick(samples, packet, ticks, error)
-    early, notes = sum(tick < 0 for tick in instants), max(map(len, snapshots.values()), default=1) - 1
-    out = at_no_tick(ticks, channels, slots, early, notes)
+    n_early, n_extra = sum(tick < 0 for tick in sampling_ticks), max(map(len, snapshots.values()), default=1) - 1
+    out = empty_schedule(ticks, channels, slots, n_early, n_extra)
     for s in samples:
         if s.tick < 0:
             out.early[packet[s.tick], s.channel] = s.number
@@ -133,16 +134,16 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     for tick in sorted(by_arrival):
         for slot, (sampling_tick, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[sampling_tick]
-            out.timestamp[tick, slot] = stamps[sampling_tick]
+            out.timestamp[tick, slot] = timestamps[sampling_tick]
             out.ticks_since_arrival[tick, slot] = tick - last
             for s in group:
                 out.mask[tick, slot, s.channel] = True
                 out.number[tick, slot, s.channel] = s.number
         last = tick
-    return with_events(out)
+    return set_events(out)
 
 
-def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
+def empty_schedule(ticks: int, channels: int, slots: int = 1, early: int = 0, extra_snapshots: int = 0) -> Schedule:
     """Return a schedule without events, with arrays of the given sizes."""
     n, q = ticks + 1, channels
     return Schedule(
@@ -157,11 +158,11 @@ def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes:
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
         early=np.full((early, q), -1, np.int32),
-        extra_snapshots=np.full((n, notes), -1, np.int32),
+        extra_snapshots=np.full((n, extra_snapshots), -1, np.int32),
     )
 
 
-def with_events(out: Schedule) -> Schedule:
+def set_events(out: Schedule) -> Schedule:
     """Set `event` and `next_event` from the other arrays."""
     n = len(out.event)
     out.event[:] = (out.sense >= 0) | (out.snapshot >= 0) | (out.arrive >= 0).any(1)
@@ -176,41 +177,38 @@ def plain_clock(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]
     All delays of a period share one cached table. A delay shifts its arrivals.
     """
     n, delay = ticks + 1, clock.period if clock.delay is None else clock.delay
-    prompt = _prompt(clock.period, clock.stride, clock.channels, ticks, channels)
+    undelayed = _undelayed(clock.period, clock.stride, clock.channels, ticks, channels)
     rows = slice(n - min(delay, n), 2 * n - min(delay, n))
-    since = prompt.ticks_since_arrival[rows].copy()
+    since = undelayed.ticks_since_arrival[rows].copy()
     if delay <= ticks:
         since[delay, 0] = delay
-    out = prompt._replace(
-        arrive=prompt.arrive[rows],
-        timestamp=prompt.timestamp[rows],
-        mask=prompt.mask[rows],
-        number=prompt.number[rows],
+    out = undelayed._replace(
+        arrive=undelayed.arrive[rows],
+        timestamp=undelayed.timestamp[rows],
+        mask=undelayed.mask[rows],
+        number=undelayed.number[rows],
         ticks_since_arrival=since,
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
     )
-    return with_events(out), 1 + delay // clock.period * (delay <= ticks)
+    return set_events(out), 1 + delay // clock.period * (delay <= ticks)
 
 
 @lru_cache(16)
-def _prompt(period: int, stride: int, clock_channels: tuple[int, ...], ticks: int, channels: int) -> Schedule:
+def _undelayed(period: int, stride: int, clock_channels: tuple[int, ...], ticks: int, channels: int) -> Schedule:
     """Return the schedule of a plain clock without a delay, its arrivals preceded by N + 1 empty rows, [2 (N + 1)]."""
     n, q = ticks + 1, list(clock_channels)
-    instants = np.arange(0, n, period, dtype=np.int32)
-    packet, at = np.arange(len(instants), dtype=np.int32), n + instants
+    sampling_ticks = np.arange(0, n, period, dtype=np.int32)
+    packet, rows = np.arange(len(sampling_ticks), dtype=np.int32), n + sampling_ticks
     number = packet * np.int32(stride)
-    sampling, out = at_no_tick(ticks, channels), at_no_tick(2 * n - 1, channels)
-    sampling.sense[instants] = sampling.snapshot[instants] = packet
-    sampling.sample[instants[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.timestamp[at, 0], out.ticks_since_arrival[at, 0] = (
-        packet,
-        instants,
-        np.diff(instants, prepend=0),
-    )
-    out.mask[at[:, None], 0, q] = True
-    out.number[at[:, None], 0, q] = number[:, None]
-    result = out._replace(
+    sampling, arrivals = empty_schedule(ticks, channels), empty_schedule(2 * n - 1, channels)
+    sampling.sense[sampling_ticks] = sampling.snapshot[sampling_ticks] = packet
+    sampling.sample[sampling_ticks[:, None], q] = number[:, None]
+    arrivals.arrive[rows, 0], arrivals.timestamp[rows, 0] = packet, sampling_ticks
+    arrivals.ticks_since_arrival[rows, 0] = np.diff(sampling_ticks, prepend=0)
+    arrivals.mask[rows[:, None], 0, q] = True
+    arrivals.number[rows[:, None], 0, q] = number[:, None]
+    result = arrivals._replace(
         sense=sampling.sense,
         sample=sampling.sample,
         snapshot=sampling.snapshot,
@@ -222,7 +220,7 @@ def _prompt(period: int, stride: int, clock_channels: tuple[int, ...], ticks: in
     return result
 
 
-def at_every_tick(ticks: int, channels: int) -> Schedule:
+def every_tick_schedule(ticks: int, channels: int) -> Schedule:
     """Return the schedule of all channels at every tick without a delay: `schedule` of period 1 and delay 0, vectorized."""
     k = np.arange(ticks + 1, dtype=np.int32)
     row, numbers = k[:, None], np.repeat(k[:, None], channels, 1)
@@ -254,10 +252,10 @@ def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Return the schedule of channels j sampled every period[j] ticks from tick 0 on, each delayed by delay[j] ticks."""
     clocks = [Clock((j,), every, lag) for j, (every, lag) in enumerate(zip(period, delay, strict=True))]
-    return schedule(samples(clocks, ticks), ticks, len(period))
+    return schedule(samples_of(clocks, ticks), ticks, len(period))
 
 
-def oldest(samples: list[Sample], oosm_lag: int) -> int:
+def max_input_age(samples: list[Sample], oosm_lag: int) -> int:
     """Return the largest age [ticks] of an input that an observer may need.
 
     For sample i in sampling order: the latest arrival of samples 0 .. i, minus the sampling tick of sample i - (2 K + 1), with
@@ -302,15 +300,12 @@ def pad_early(plan: Schedule, packets: int) -> Schedule:
     return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
 
 
-def pad_notes(plan: Schedule, count: int) -> Schedule:
+def pad_snapshots(plan: Schedule, count: int) -> Schedule:
     """Pad the snapshots of each tick, so that schedules of one study have one shape."""
-    if count == plan.extra_snapshots.shape[1]:
+    n_missing = count - plan.extra_snapshots.shape[1]
+    if not n_missing:
         return plan
-    return plan._replace(
-        extra_snapshots=np.pad(
-            plan.extra_snapshots, [(0, 0), (0, count - plan.extra_snapshots.shape[1])], constant_values=-1
-        )
-    )
+    return plan._replace(extra_snapshots=np.pad(plan.extra_snapshots, [(0, 0), (0, n_missing)], constant_values=-1))
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:
@@ -319,13 +314,13 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
     if not extra:
         return plan
 
-    def wider(x: NDArray, fill: int) -> NDArray:
+    def pad(x: NDArray, fill: int) -> NDArray:
         return np.pad(x, [(0, 0), (0, extra)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)
 
     return plan._replace(
-        arrive=wider(plan.arrive, -1),
-        timestamp=wider(plan.timestamp, 0),
-        mask=wider(plan.mask, 0),
-        number=wider(plan.number, -1),
-        ticks_since_arrival=wider(plan.ticks_since_arrival, 0),
+        arrive=pad(plan.arrive, -1),
+        timestamp=pad(plan.timestamp, 0),
+        mask=pad(plan.mask, 0),
+        number=pad(plan.number, -1),
+        ticks_since_arrival=pad(plan.ticks_since_arrival, 0),
     )

@@ -23,7 +23,7 @@ class EventTable(NamedTuple):
     timestamp: Array  # [E, L] assumed sampling tick of a packet, possibly before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
     packet: Array  # [E, L] the row of the packet that arrives
-    brings: Array  # [C, E, L] whether the arrival contains each clock's sample
+    mask: Array  # [C, E, L] whether the arrival contains each clock's sample
     slot: Array  # [E, L] number of earlier arrivals at the same tick
     ticks_since_arrival: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
 
@@ -31,14 +31,17 @@ class EventTable(NamedTuple):
 def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     """Return the events of every run in order of time; at one tick the older packet arrives first."""
     by_clock = [random_times.clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
-    taken, arrives = (jnp.concatenate(part) for part in zip(*by_clock, strict=True))
+    sampling_ticks, arrives = (jnp.concatenate(part) for part in zip(*by_clock, strict=True))
     clock = jnp.concatenate([jnp.full_like(ticks, c) for c, (ticks, _) in enumerate(by_clock)])
     number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(ticks))[:, None], ticks.shape) for ticks, _ in by_clock])
-    order = jnp.argsort(taken, axis=0, stable=True)
-    taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    timestamp, packet = random_times.timestamp(t, root_seed, seeds, taken), _first(_repeats(taken))
+    order = jnp.argsort(sampling_ticks, axis=0, stable=True)
+    columns = sampling_ticks, arrives, clock, number
+    sampling_ticks, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in columns)
+    timestamp = random_times.timestamp(t, root_seed, seeds, sampling_ticks)
+    packet = _first(_repeats(sampling_ticks))
     numbers = _by_clock(len(by_clock), -1, clock, packet, number)
-    taken, timestamp = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, timestamp))
+    is_packet = packet == _rows(packet)
+    sampling_ticks, timestamp = (jnp.where(is_packet, a, NEVER) for a in (sampling_ticks, timestamp))
 
     order = jnp.argsort(arrives, axis=0, stable=True)
     arrives, packet, clock = (jnp.take_along_axis(a, order, 0) for a in (arrives, packet, clock))
@@ -49,12 +52,12 @@ def event_table(t: ClockParams, root_seed: Array, seeds: Array) -> EventTable:
     slot = count - jnp.take_along_axis(count, _first(repeats), 0)
     previous = jnp.take_along_axis(arrives, jnp.maximum(_first(repeats) - 1, 0), 0)
     return EventTable(
-        sampling_ticks=taken,
+        sampling_ticks=sampling_ticks,
         number=numbers,
         timestamp=timestamp,
         arrives=jnp.where(is_first, arrives, NEVER),
         packet=packet,
-        brings=_by_clock(len(by_clock), False, clock, arrival, True),
+        mask=_by_clock(len(by_clock), False, clock, arrival, True),
         slot=slot,
         ticks_since_arrival=arrives - jnp.where(_first(repeats) > 0, previous, 0),
     )

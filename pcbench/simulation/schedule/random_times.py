@@ -40,11 +40,11 @@ class ClockParams(NamedTuple):
     high: Leaf  # [C] largest random interval; 0: intervals are not random
     delay: Leaf  # [C]; -1: one interval
     jitter: Leaf  # [C] of the sampling instant
-    spread: Leaf  # [C] jitter of the delay
-    steps: Leaf  # [C, m] additional delays, of which each sample has one; m = 0: none
-    many: Leaf  # [C] how many of the m additional delays a clock has
-    stay: Leaf  # [C, m] probability that the next sample has the same additional delay; m = 0: no clock has a chain
-    share: Leaf  # [C, m] cumulative probability of independent additional delays; 0: a chain; m = 0: all are chains
+    delay_jitter: Leaf  # [C] jitter of the delay
+    delay_values: Leaf  # [C, m] additional delays, of which each sample has one; m = 0: none
+    n_delay_values: Leaf  # [C] how many of the m additional delays a clock has
+    delay_self_transition: Leaf  # [C, m] probability that the next sample has the same one; m = 0: no clock has a chain
+    delay_cdf: Leaf  # [C, m] cumulative probability of independent additional delays; 0: a chain; m = 0: all are chains
     loss: Leaf  # [C] probability of a loss
     bursts: Leaf  # [C, 2] probability of a loss after a received and after a lost sample; [C, 0]: the same
     outages: Leaf  # [C, 2] first tick and end of an outage, in which all samples are lost; [C, 0]: none
@@ -54,16 +54,18 @@ class ClockParams(NamedTuple):
     stamp: PyTree = ()  # Stamp, if timestamps are wrong
 
 
-def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockParams:
+def clock_params(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockParams:
     """Return the parameters of clocks for a number of ticks."""
-    count = max(_most(clock, ticks) for clock in clocks) + 1
+    count = max(_max_samples(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
-    has_steps, has_chain, has_share = (any(map(attrgetter(name), clocks)) for name in ("steps", "stay", "share"))
+    names = "delay_values", "delay_self_transition", "delay_weights"
+    has_values, has_chain, has_weights = (any(map(attrgetter(name), clocks)) for name in names)
     limits = [sampling.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
     for row, clock in zip(due, clocks, strict=True):
         instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
-    counts = [len(c.steps) or int(has_steps) for c in clocks]
+    counts = [len(c.delay_values) or int(has_values) for c in clocks]
+    weights = [c.delay_weights or (float(not c.delay_self_transition),) for c in clocks]
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return ClockParams(
         due=due,
@@ -71,13 +73,15 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
         high=np.array([high for _, high in limits]),
         delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
         jitter=np.array([c.jitter for c in clocks]),
-        spread=np.array([c.spread for c in clocks]),
-        steps=_rows([c.steps or (0,) * has_steps for c in clocks], max(counts), "edge").astype(int),
-        many=np.array(counts),
-        stay=_rows([c.stay or (0.0,) for c in clocks], max(counts) * has_chain),
-        share=np.cumsum(_rows([c.share or (float(not c.stay),) for c in clocks], max(counts) * has_share), 1),
+        delay_jitter=np.array([c.delay_jitter for c in clocks]),
+        delay_values=_pad_rows([c.delay_values or (0,) * has_values for c in clocks], max(counts), "edge").astype(int),
+        n_delay_values=np.array(counts),
+        delay_self_transition=_pad_rows([c.delay_self_transition or (0.0,) for c in clocks], max(counts) * has_chain),
+        delay_cdf=np.cumsum(_pad_rows(weights, max(counts) * has_weights), 1),
         loss=np.array([c.loss for c in clocks], float),
-        bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
+        bursts=np.array(
+            [sampling.loss_probabilities(c) if any(c.burst for c in clocks) else () for c in clocks], float
+        ),
         outages=np.array([c.outage if any(any(c.outage) for c in clocks) else () for c in clocks], int),
         channel=np.array([c.channels[0] for c in clocks]),
         clock_of=np.array(clock_of),
@@ -86,53 +90,55 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> ClockPa
     )
 
 
-def _rows(
-    rows: list[tuple[float, ...]], wide: int, mode: Literal["constant", "edge"] = "constant"
+def _pad_rows(
+    rows: list[tuple[float, ...]], width: int, mode: Literal["constant", "edge"] = "constant"
 ) -> NDArray[np.float64]:
-    """Return rows of `wide` numbers, padded with 0 or with the last number of each row."""
-    return np.array([np.pad(row, (0, wide - len(row)), mode) if wide else () for row in rows], float)
+    """Return rows of `width` numbers, padded with 0 or with the last number of each row."""
+    return np.array([np.pad(row, (0, width - len(row)), mode) if width else () for row in rows], float)
 
 
-def _most(clock: Clock, ticks: int) -> int:
+def _max_samples(clock: Clock, ticks: int) -> int:
     """Return the largest number of samples that a clock takes at ticks 0 .. `ticks`."""
     if clock.profile == "uniform":
         return (ticks + clock.jitter) // sampling.uniform_range(clock.period)[0] + 1
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
-def pad_times(t: ClockParams, samples: int, steps: int = 0) -> ClockParams:
-    """Pad with instants that never come and with repeated delay shares, so that the clocks of one study have one shape."""
-    more = samples - t.due.shape[1]
-    t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
-    if not (many := t.share.shape[1]):
+def pad_clock_params(t: ClockParams, samples: int, values: int = 0) -> ClockParams:
+    """Pad with instants that never come and with repeated delay values, so that the clocks of one study have one shape."""
+    n_missing = samples - t.due.shape[1]
+    t = t._replace(due=np.pad(t.due, [(0, 0), (0, n_missing)], constant_values=NEVER))
+    if not (count := t.delay_cdf.shape[1]):
         return t
-    wide = [(0, 0), (0, max(steps - many, 0))]
-    stay = np.pad(t.stay, wide) if t.stay.shape[1] else t.stay
-    return t._replace(steps=np.pad(t.steps, wide, "edge"), stay=stay, share=np.pad(t.share, wide, "edge"))
+    width, stay = [(0, 0), (0, max(values - count, 0))], t.delay_self_transition
+    return t._replace(
+        delay_values=np.pad(t.delay_values, width, "edge"),
+        delay_self_transition=np.pad(stay, width) if stay.shape[1] else stay,
+        delay_cdf=np.pad(t.delay_cdf, width, "edge"),
+    )
 
 
 def clock_times(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
     """Return the sampling tick and the arrival tick (NEVER: lost) of every sample of clock c, [M, L] each."""
     count = t.due.shape[1]
-    timing, uniform = (
-        rng.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
-    )
-    step = t.low[c] + _integers_below(timing[:, 0], t.high[c] - t.low[c] + 1)
-    random = jnp.cumsum(jnp.concatenate([jnp.full_like(step[:1], t.due[c, 0]), step[1:]]), 0)
+    timing = rng.uniforms(root_seed, seeds, "jitter", t.channel[c], count, 3)
+    loss = rng.uniforms(root_seed, seeds, "loss", t.channel[c], count, 1)
+    interval = t.low[c] + _integers_below(timing[:, 0], t.high[c] - t.low[c] + 1)
+    random = jnp.cumsum(jnp.concatenate([jnp.full_like(interval[:1], t.due[c, 0]), interval[1:]]), 0)
     due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
     shift = _integers_below(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
     instants = due + jnp.where(jnp.arange(count)[:, None] > 0, shift, 0)
-    delay = _integers_below(timing[:, 2], t.spread[c] + 1)
-    if t.steps.shape[1]:
-        delay = delay + t.steps[c][_which_step(t, c, root_seed, seeds)]
+    delay = _integers_below(timing[:, 2], t.delay_jitter[c] + 1)
+    if t.delay_values.shape[1]:
+        delay = delay + t.delay_values[c][_delay_index(t, c, root_seed, seeds)]
     arrives = jnp.where(t.delay[c] < 0, instants[1:], instants[:-1] + t.delay[c]) + delay[:-1]
-    lost = _lost(t, c, uniform[:-1, 0])
+    is_lost = _is_lost(t, c, loss[:-1, 0])
     if t.outages.shape[1]:
-        lost |= (instants[:-1] >= t.outages[c, 0]) & (instants[:-1] < t.outages[c, 1])
-    return instants[:-1], jnp.where(lost, NEVER, jnp.minimum(arrives, NEVER))
+        is_lost |= (instants[:-1] >= t.outages[c, 0]) & (instants[:-1] < t.outages[c, 1])
+    return instants[:-1], jnp.where(is_lost, NEVER, jnp.minimum(arrives, NEVER))
 
 
-def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
+def _is_lost(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return which samples of clock c are lost, [M, L]; the probability depends on whether the previous sample was lost."""
     first = uniform < t.loss[c]
     if not t.bursts.shape[1]:
@@ -145,18 +151,22 @@ def _lost(t: ClockParams, c: int, uniform: Array) -> Array:
     return jnp.concatenate([first[:1], lax.scan(step, first[0], uniform[1:])[1]])
 
 
-def _which_step(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
+def _delay_index(t: ClockParams, c: int, root_seed: Array, seeds: Array) -> Array:
     """Return the index of the additional delay of every sample of clock c, [M+1, L]."""
     uniform = rng.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
-    if not t.share.shape[1]:
+    if not t.delay_cdf.shape[1]:
         return _chain(t, c, uniform)
-    independent = jnp.searchsorted(t.share[c][:-1], uniform, side="right")
-    return jnp.where(t.share[c][-1] > 0, independent, _chain(t, c, uniform)) if t.stay.shape[1] else independent
+    independent = jnp.searchsorted(t.delay_cdf[c][:-1], uniform, side="right")
+    return (
+        jnp.where(t.delay_cdf[c][-1] > 0, independent, _chain(t, c, uniform))
+        if t.delay_self_transition.shape[1]
+        else independent
+    )
 
 
 def _chain(t: ClockParams, c: int, uniform: Array) -> Array:
     """Return the states of a Markov chain driven by uniform numbers, [M+1, L]."""
-    m, stay = t.many[c], t.stay[c]
+    m, stay = t.n_delay_values[c], t.delay_self_transition[c]
     weights = jnp.where(jnp.arange(len(stay)) < m, 1 / (1 - stay), 0.0)
     ends = jnp.cumsum(weights / jnp.sum(weights))
     first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), m - 1)
@@ -185,8 +195,8 @@ def _integers_below(uniform: Array, n: Array) -> Array:
 
 
 def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
-    """Return the samples of one run, as `common_times.samples` does for clocks without randomness."""
-    t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
+    """Return the samples of one run, as `common_times.samples_of` does for clocks without randomness."""
+    t = jax.tree.map(jnp.asarray, clock_params(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
         address = jnp.asarray(root_seed), jnp.asarray([seed])
@@ -200,13 +210,13 @@ def draw_samples(clocks: list[Clock], ticks: int, channels: int, root_seed: int,
 def room(clocks: Sequence[Clock], ticks: int, error: int) -> int:
     """Return an upper limit of the packets on the network at one time, for any draws."""
     back = 0
-    while (reach := abs(error) + max(clocks[0].stamp.reach(ticks + back))) > back:
+    while (reach := abs(error) + max(clocks[0].stamp.max_errors(ticks + back))) > back:
         back = reach  # a snapshot may be due for a sample taken this long after the last tick; timestamp errors grow
     longest = max(sampling.ages(c, ticks)[1] for c in clocks) + back
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
 
-def oldest(clocks: list[Clock], ticks: int, oosm_lag: int) -> int:
+def max_input_age(clocks: list[Clock], ticks: int, oosm_lag: int) -> int:
     """Return an upper limit of the age [ticks] of an input that an observer may need, for any delays.
 
     It covers the sample before the newest and before all that may arrive out of sequence. If samples are lost, it covers the
@@ -214,24 +224,24 @@ def oldest(clocks: list[Clock], ticks: int, oosm_lag: int) -> int:
     """
     age = max(sampling.ages(c, ticks)[1] for c in clocks)
     interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
-    loss = max(sampling.breaks(c)[1] for c in clocks)
+    loss = max(sampling.loss_probabilities(c)[1] for c in clocks)
     burst = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
     longest = max(c.outage[1] - c.outage[0] for c in clocks)
-    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * oosm_lag + 1 + burst) * interval + longest
+    return age + sum(clocks[0].stamp.max_errors(ticks)) + (2 * oosm_lag + 1 + burst) * interval + longest
 
 
 def max_oosm_lag(clocks: list[Clock], ticks: int) -> int:
     """Return an upper limit of the newer samples that arrive before an older one, at most all others of a run."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
-    wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
+    wrong = sum(clocks[0].stamp.max_errors(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
 
     def newer(i: int, j: int) -> int:
         if i == j:  # one clock: its ages differ by at most latest - earliest
-            spread = clocks[i].latest - clocks[i].earliest
+            spread = clocks[i].max_extra_delay - clocks[i].min_extra_delay
             return max(spread - 1, 0) // least[i]
         span = sampling.ages(clocks[i], ticks)[1] - sampling.ages(clocks[j], ticks)[0] - 1 + wrong
         return span // least[j] + 1 if span >= 1 else 0
 
     indices = range(len(clocks))
-    most = max(sum(_most(c, ticks) for c in clocks) - 1, 0)
+    most = max(sum(_max_samples(c, ticks) for c in clocks) - 1, 0)
     return min(max(sum(newer(i, j) for j in indices) for i in indices), most)

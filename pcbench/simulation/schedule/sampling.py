@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-LOST = -1  # in `Clock.turns`: that sample never arrives
+LOST = -1  # in `Clock.delay_sequence`: the sample is lost
 
 
 class Stamp(NamedTuple):
@@ -14,13 +14,13 @@ class Stamp(NamedTuple):
     drift: float = 0.0  # ticks per tick
     jitter: int = 0  # largest absolute value, ticks
 
-    def ahead(self, tick: int) -> int:
+    def error_at(self, tick: int) -> int:
         """Return timestamp minus sampling tick for a sample taken at a tick, without jitter."""
         return self.offset + round(self.drift * tick)
 
-    def reach(self, ticks: int) -> tuple[int, int]:
+    def max_errors(self, ticks: int) -> tuple[int, int]:
         """Return how many ticks a timestamp may be too early and too late over ticks 0 .. `ticks`."""
-        ends = [self.ahead(tick) for tick in (0, ticks)]
+        ends = [self.error_at(tick) for tick in (0, ticks)]
         return max(self.jitter - min(ends), 0), max(max(ends) + self.jitter, 0)
 
 
@@ -32,17 +32,19 @@ class Clock(NamedTuple):
     delay: int | None  # None: one interval, a sample arrives when the next is taken
     profile: str | tuple[int, ...] = "periodic"  # of the intervals: a name in PROFILES, or intervals that repeat
     jitter: int = 0  # every sample except the first is taken up to this much early or late
-    spread: int = 0  # delay jitter: a sample arrives up to this much later
+    delay_jitter: int = 0  # a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
     stride: int = 1  # sample numbers are 0, stride, 2 stride, ...; the numbers between are unused and draw nothing
     early: bool = False  # sampling began before tick 0: `period` is between arrivals, the first arrival at tick 0
-    swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
-    steps: tuple[int, ...] = ()  # additional delays, chosen by a Markov chain or by `share`; empty: none
-    stay: tuple[float, ...] = ()  # probability per step that the next sample has the same one, below 1
-    share: tuple[float, ...] = ()  # probability per step, drawn independently for each sample; empty: a chain
-    turns: tuple[
-        int, ...
-    ] = ()  # additional delays that repeat in order; LOST: the sample is lost. Nothing is then random
+    delay_sine: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
+    delay_values: tuple[int, ...] = ()  # additional delays, by a Markov chain or by `delay_weights`; empty: none
+    delay_self_transition: tuple[float, ...] = ()  # probability per value that the next sample has it too, below 1
+    delay_weights: tuple[float, ...] = ()  # probability per value, drawn independently for each sample; empty: a chain
+    # additional delays that repeat in order; LOST: the sample is lost. Nothing is then random
+    delay_sequence: tuple[int, ...] = ()
     burst: float = 0.0  # mean number of samples lost in a row; 0: losses are independent
     phase: int = 0  # tick of the first sample
     outage: tuple[int, int] = (0, 0)  # a sample taken from the first tick on, but before the second, is lost
@@ -51,7 +53,8 @@ class Clock(NamedTuple):
     @property
     def random(self) -> bool:
         """Whether each run has its own sampling times."""
-        return self.profile == "uniform" or max(self.jitter, self.spread, *self.steps, self.loss, self.stamp.jitter) > 0
+        ranges = self.jitter, self.delay_jitter, *self.delay_values, self.loss, self.stamp.jitter
+        return self.profile == "uniform" or max(ranges) > 0
 
     @property
     def plain(self) -> bool:
@@ -59,32 +62,34 @@ class Clock(NamedTuple):
         return self == Clock(self.channels, self.period, self.delay, stride=self.stride)
 
     @property
-    def latest(self) -> int:
+    def max_extra_delay(self) -> int:
         """Largest additional delay of a sample."""
-        return self.spread + max(self.steps, default=0) + max(self.known_turns, default=0)
+        return self.delay_jitter + max(self.delay_values, default=0) + max(self.sent_delays, default=0)
 
     @property
-    def earliest(self) -> int:
+    def min_extra_delay(self) -> int:
         """Smallest additional delay of a sample."""
-        return min(self.steps, default=0) + min(self.known_turns, default=0)
+        return min(self.delay_values, default=0) + min(self.sent_delays, default=0)
 
     @property
-    def known_turns(self) -> list[int]:
-        """The values of `turns` without the lost samples."""
-        return [turn for turn in self.turns if turn != LOST]
+    def sent_delays(self) -> list[int]:
+        """The values of `delay_sequence` without the lost samples."""
+        return [delay for delay in self.delay_sequence if delay != LOST]
 
     @property
-    def later(self) -> int:
+    def mean_extra_delay(self) -> int:
         """Mean additional delay of a sample."""
-        mean = sum(p * step for p, step in zip(self.share or stationary(self.stay), self.steps, strict=True))
-        turns = self.known_turns
-        return self.spread // 2 + round(mean) + round(sum(turns) / max(len(turns), 1))
+        weights = self.delay_weights or stationary(self.delay_self_transition)
+        mean = sum(p * delay for p, delay in zip(weights, self.delay_values, strict=True))
+        delays = self.sent_delays
+        return self.delay_jitter // 2 + round(mean) + round(sum(delays) / max(len(delays), 1))
 
 
 def stationary(stay: tuple[float, ...]) -> list[float]:
-    """Return the stationary distribution of a chain that keeps its value with probability stay, else takes any other alike.
+    """Return the stationary distribution of a chain that keeps a value with probability `stay`, else takes another.
 
-    Transitions between two values are as frequent either way, so the distribution is proportional to 1 / (1 - stay).
+    All other values are equally likely. Transitions between two values are as frequent either way, so the distribution is
+    proportional to 1 / (1 - stay).
     """
     weights = [1 / (1 - p) for p in stay]
     return [w / sum(weights) for w in weights]
@@ -97,22 +102,22 @@ def gamma(mean: float, shape: float) -> tuple[float, ...]:
     """
     from scipy.special import gammainc
 
-    last = max(int(np.ceil(latest_of_gamma(mean, shape))), 1)
+    last = max(int(np.ceil(gamma_quantile(mean, shape))), 1)
     below = gammainc(shape, (np.arange(last) + 0.5) * shape / mean)
     return tuple(np.diff(below, prepend=0.0, append=1.0).tolist())
 
 
-def latest_of_gamma(mean: float, shape: float) -> float:
+def gamma_quantile(mean: float, shape: float) -> float:
     """Return the 1 - 1e-4 quantile of a gamma-distributed delay, in the unit of its mean."""
     from scipy.special import gammaincinv
 
     return float(gammaincinv(shape, 1 - 1e-4)) * mean / shape
 
 
-def breaks(clock: Clock) -> tuple[float, float]:
+def loss_probabilities(clock: Clock) -> tuple[float, float]:
     """Return the probability of a loss after a received sample and after a lost one (Gilbert 1960).
 
-    A share `loss` of all samples is then lost, in bursts of mean length `mean_burst_length`.
+    A share `loss` of all samples is then lost, in bursts of mean length `burst`.
     """
     if not clock.burst:
         return clock.loss, clock.loss
@@ -162,9 +167,8 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
     elif clock.profile == "periodic":
         due = [clock.period]
     else:
-        last = max(
-            ticks + clock.jitter, clock.phase
-        )  # jitter may move a later sample in; the first sample may be after `ticks`
+        # jitter may move a later sample in; the first sample may be after `ticks`
+        last = max(ticks + clock.jitter, clock.phase)
         due = sorted(set(np.diff(instants(clock, last)).tolist()))
     j = 2 * clock.jitter
     return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
@@ -172,14 +176,14 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
 
 def age(clock: Clock, arrives: int) -> int:
     """Return the age, in whole ticks, of the sample that arrives at a tick, if the delay varies with time."""
-    amplitude, rate = clock.swing
+    amplitude, rate = clock.delay_sine
     return round((clock.delay or 0) + amplitude * np.sin(rate * arrives))
 
 
 def ages(clock: Clock, ticks: int) -> tuple[int, int]:
     """Return the smallest and the largest age of a sample at its arrival."""
-    if any(clock.swing):
+    if any(clock.delay_sine):
         values = sorted(age(clock, arrives) for arrives in instants(clock, max(ticks, clock.phase))[:-1])
     else:
         values = intervals(clock, ticks) if clock.delay is None else [clock.delay]
-    return values[0] + clock.earliest, values[-1] + clock.latest
+    return values[0] + clock.min_extra_delay, values[-1] + clock.max_extra_delay

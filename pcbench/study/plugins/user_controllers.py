@@ -64,7 +64,7 @@ def linearize_law(
 ) -> Law | None:
     """Return a law linearised about its set point of tick 0 by jax.
 
-    None if it uses inputs on their way, or violates the protocol; planning reports the latter (`law_conformance`).
+    None if it uses inputs on their way, or violates the protocol; planning reports the latter (`controller_shape_checks`).
     """
     requests: list[Array] = []  # requests for inputs on their way
     try:

@@ -34,7 +34,7 @@ def check(label: str, law: Controller, params: Params, sizes: Sizes) -> None:
 def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: int) -> None:
     tick, estimate = jnp.asarray(1), jax.ShapeDtypeStruct((length,), float)
 
-    def ask(name: str, f: Any, *args: PyTree) -> PyTree:
+    def shapes_of(name: str, f: Any, *args: PyTree) -> PyTree:
         try:
             return jax.eval_shape(f, params, *args)
         except Exception as error:
@@ -50,16 +50,16 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
         out = decide(params, now, xhat, lambda i: jnp.zeros(sizes.m), *memory)
         return out if memory else (out, ())
 
-    target = ask("target", lambda params: jnp.asarray(law.target(params, tick)))
+    target = shapes_of("target", lambda params: jnp.asarray(law.target(params, tick)))
     if target.ndim != 1 or target.shape[0] > sizes.n:
         raise UserError(
             f"controller {label}: target returned shape {target.shape}, expected the set point of the first states, "
             f"({sizes.n},) at most; return a vector."
         )
-    first_command = ask("before", lambda params, xhat: jnp.asarray(law.before(params, tick, xhat)), estimate)
-    memory = [ask("start", law.start, estimate)] if law.start else []
+    first_command = shapes_of("before", lambda params, xhat: jnp.asarray(law.before(params, tick, xhat)), estimate)
+    memory = [shapes_of("start", law.start, estimate)] if law.start else []
     try:
-        u, next_memory = ask("command", command, estimate, *memory)
+        u, next_memory = shapes_of("command", command, estimate, *memory)
     except (TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
