@@ -74,7 +74,7 @@ MEANING = {
     "ci_low": "lower end of its 95 % interval over seeds",
     "ci_high": "upper end of its 95 % interval over seeds",
     "mean_diff": "mean of metric(a) - metric(b) over the common runs in which neither diverged; negative: a is better",
-    "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
+    "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-7) counts half, a diverged run loses",
     "p_value": "two-sided paired t-test of mean_diff = 0; null: the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
     "lq_cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "

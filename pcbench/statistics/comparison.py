@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pcbench.statistics.confidence_intervals import Estimate, Moments, Values, merge, moments, student
 from pcbench.statistics.metric_matrix import COMPARED, POOLED, SignalMetric, Stack, keep_columns
 
-SAME = 1e-9  # relative difference below which two metrics of a run are equal up to rounding: a tie
+SAME = 1e-7  # relative difference below which two metrics of a run are a tie: they are equal up to rounding
 
 
 class PairStats(NamedTuple):

@@ -150,7 +150,7 @@ def compare(a, b, bad_a, bad_b, floor):
             continue
         decided = True
         apart.append(x - y)
-        tie = abs(x - y) <= 1e-9 * max(abs(x), abs(y)) + floor
+        tie = abs(x - y) <= 1e-7 * max(abs(x), abs(y)) + floor
         ties += tie
         score += 0.5 if tie else 1.0 if x < y else 0.0
     d = mean(apart)

@@ -179,8 +179,11 @@ def test_values_that_are_all_equal_keep_no_rounding_of_their_sum(value):
         assert (found["mean"], found["se"]) == (value, 0.0), n
 
 
-def test_rounding_is_a_tie():
-    assert runs_as_rows.compare(A, A * (1 + 1e-12), GOOD, GOOD)["prob_a_better"] == 0.5
+@pytest.mark.parametrize(("difference", "better"), [(1e-12, 0.5), (0.9e-7, 0.5), (1.1e-7, 1.0)])
+def test_rounding_is_a_tie(difference, better):
+    found = runs_as_rows.compare(A, A * (1 + difference), GOOD, GOOD)
+    assert found["prob_a_better"] == better
+    assert np.isnan(found["p_value"]) == (better == 0.5)
 
 
 @pytest.mark.parametrize("n", [0, 1])
