@@ -52,7 +52,7 @@ def bibtex(source: str | None = None) -> str:
     entries, about = references(), ["everything that pcbench has"]
     if source is not None:
         target = storage.target(source)
-        is_result = storage.read(target, manifest.TEXT) is not None
+        is_result = storage.read_bytes(target, manifest.TEXT) is not None
         study = manifest.load_manifest(target).study if is_result else outline(source, [])
         record = (close.record(target) if is_result else None) or {}
         solvers = {c["solver"] for table in record.get("certificates", {}).values() for c in table.values()} & set(

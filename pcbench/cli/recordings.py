@@ -116,8 +116,8 @@ def convert(
         delays = dict.fromkeys(log.channels, np.array([_seconds(delay)]))
     tables = thinning.thin_tables(log, thin, delays, None if truth is None else names(truth), seed)
     target = storage.target(folder)
-    storage.make(target)
-    storage.put_all(target, {f"{name}.parquet": parquet_io.encode_table(table) for name, table in tables.items()})
+    storage.create_folder(target)
+    storage.write_files(target, {f"{name}.parquet": parquet_io.encode_table(table) for name, table in tables.items()})
     print(f"{folder}: {len(tables['measurements']):,} measurements of {', '.join(log.channels)}")
 
 

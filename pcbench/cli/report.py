@@ -220,7 +220,7 @@ def reproduce(
             folder.claims(title, rows, console())
         return
     if page is not None:
-        storage.make(storage.target(page.parent))  # an unwritable folder is reported before the work
+        storage.create_folder(storage.target(page.parent))  # an unwritable folder is reported before the work
     with show_progress(quiet or as_json) as progress:
         by_paper = every.claims(progress)
     if page is not None:

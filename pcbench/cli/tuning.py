@@ -59,7 +59,7 @@ def design(
         text = design.to_toml(design.as_study(study, cell, observer, result)) if file is not None else ""
     if file is not None:
         target = storage.target(Path(file).parent)
-        storage.make(target)
+        storage.create_folder(target)
         storage.write_file(target, Path(file).name, text.encode())
     if as_json:
         fields = result.certificate._asdict()

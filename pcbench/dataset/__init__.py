@@ -1,6 +1,6 @@
 """Datasets: from a study's missing blocks to tasks, to complete files, and to the closing tables.
 
-`task.compute` writes a block's Parquet file through `storage.put_table`.
+`task.compute` writes a block's Parquet file through `storage.write_table`.
 
 `storage` (files), `parquet_io` (tables with their digest), `seed_ranges` (ranges of seeds), `block_files` (blocks on
 disk), `manifest` (the study of a folder), `serialize` (planned cells as bytes), `task` (computation of some blocks),

@@ -55,7 +55,7 @@ def block_of(name: str) -> Block | None:
 def present(target: storage.Target) -> list[Block]:
     """Return the blocks with a file, sorted; raise UserError for a file that is not a block."""
     out = []
-    for name in storage.names(target, "runs"):
+    for name in storage.file_names(target, "runs"):
         block = block_of(name)
         if block is None:
             raise UserError(
@@ -77,7 +77,7 @@ def read_block(target: storage.Target, block: Block) -> pa.Table:
 
 def _table(target: storage.Target, block: Block) -> pa.Table | str:
     """Return a block's rows, or the reason why they cannot be read."""
-    content = storage.get(target, block.name)
+    content = storage.read_buffer(target, block.name)
     if content is None:
         return "it is gone"
     try:
@@ -93,7 +93,7 @@ def about(table: pa.Table) -> storage.Json:
 
 def about_block(target: storage.Target, block: Block) -> storage.Json:
     """Return a block's metadata from the footer of its file alone."""
-    footer = storage.footer(target, block.name)
+    footer = storage.read_footer(target, block.name)
     return _about(footer.metadata) if footer else {}
 
 

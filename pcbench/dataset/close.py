@@ -58,7 +58,7 @@ def close(target: storage.Target, claim: StudyClaim, tables: ClosingTables, abou
     digests = {"stats.parquet": digest_of(tables.stats), "pairs.parquet": digest_of(tables.pairs)}
     derived = {"certificates": tables.certificates, "digests": digests}
     record = provenance.describe() | study | dict(about) | derived
-    storage.put_json(target, PROVENANCE, record | {"digest": _digest(record)})
+    storage.write_json(target, PROVENANCE, record | {"digest": _digest(record)})
 
 
 def closing_tables(target: storage.Target, claim: StudyClaim, blocks: list[Block]) -> ClosingTables:
@@ -117,7 +117,7 @@ def _with_exact(study: str, c: aggregate.CellBlocks, exact: pa.Table | None) -> 
 
 def record(target: storage.Target) -> storage.Json | None:
     """Return the content of provenance.json; None if it is missing or changed."""
-    document = storage.document(target, PROVENANCE)
+    document = storage.read_json(target, PROVENANCE)
     return document if document and document.get("digest") == _digest(document) else None
 
 
@@ -166,7 +166,7 @@ def input_digest(target: storage.Target, blocks: list[Block]) -> bytes:
         for key, group in block_files.series(block_files.drop_overlaps(blocks)).items()
     }
     text = repr([(s, observer, cell, *seeds) for (s, cell, observer), group in ranges.items() for seeds in group])
-    runs, exact = hashlib.sha256(text.encode()).hexdigest().encode(), storage.get(target, moments_tables.NAME)
+    runs, exact = hashlib.sha256(text.encode()).hexdigest().encode(), storage.read_buffer(target, moments_tables.NAME)
     return runs if exact is None else runs + digest_of(exact).encode()
 
 
@@ -174,9 +174,11 @@ def damaged_files(target: storage.Target) -> list[str]:
     """Return the closing files that differ from what was written."""
     document = record(target)
     if document is None:
-        return [PROVENANCE] if storage.get(target, PROVENANCE) is not None else []
+        return [PROVENANCE] if storage.read_buffer(target, PROVENANCE) is not None else []
     return [
-        name for name in document["digests"] if storage.get(target, name) is not None and table(target, name) is None
+        name
+        for name in document["digests"]
+        if storage.read_buffer(target, name) is not None and table(target, name) is None
     ]
 
 
@@ -190,7 +192,7 @@ def is_closed(target: storage.Target, blocks: list[Block]) -> bool:
 
 def table(target: storage.Target, name: str) -> pa.Table | None:
     """Return a closing table; None if it is missing or any of its bytes has changed."""
-    content, document = storage.get(target, name), record(target)
+    content, document = storage.read_buffer(target, name), record(target)
     if content is None or document is None or document["digests"].get(name) != digest_of(content):
         return None
     try:

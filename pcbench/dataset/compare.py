@@ -126,7 +126,7 @@ def _side(target: storage.Target, claim: StudyClaim) -> Side:
                 f"{target.name}/{b.name}: is of a cell that {target.name}/study.toml does not have, expected one of its cells; "
                 "restore that file, or run the study again."
             )
-        if storage.footer(target, b.name) is None:
+        if storage.read_footer(target, b.name) is None:
             raise UserError(
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to recompute it."
             )

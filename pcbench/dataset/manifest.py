@@ -42,7 +42,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
 
     Writes nothing. With `overwrite`, an existing study will be removed.
     """
-    text, blocks = storage.read(target, TEXT), block_files.present(target)
+    text, blocks = storage.read_bytes(target, TEXT), block_files.present(target)
     table = None if text is None else _parse_manifest(text)
     engine = None if overwrite or table is None else table.get("engine")
     if engine is None and blocks and not overwrite:  # its text is lost
@@ -115,7 +115,7 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
 
 def _require_ours(target: storage.Target, prefixes: tuple[str, ...] = ()) -> None:
     """Raise UserError if a target without blocks has a file that is not a dataset's and begins with none of `prefixes`."""
-    for name in storage.names(target):
+    for name in storage.file_names(target):
         if not name.startswith((*KNOWN_FILES, *prefixes)):
             raise UserError(
                 f"{target.name}: holds other files ({name}), expected a new or empty folder; give another one with --out."
@@ -127,7 +127,7 @@ def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
 
     The code of user-defined observers is loaded from the dataset's copy if it will be `run`, and otherwise not at all.
     """
-    text = storage.read(target, TEXT)
+    text = storage.read_bytes(target, TEXT)
     if text is None:
         raise UserError(
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
@@ -154,11 +154,11 @@ def differences(a: StudyClaim, b: StudyClaim) -> list[str]:
 
 def begin(target: storage.Target, claim: StudyClaim) -> None:
     """Delete the closing tables of an earlier run (with `overwrite` its blocks too), then write study.toml."""
-    storage.make(target)
+    storage.create_folder(target)
     for name in CLOSING:
         storage.remove(target, name)
     if claim.overwrite:
-        for name in storage.names(target, "runs"):
+        for name in storage.file_names(target, "runs"):
             if block_files.block_of(name):
                 storage.remove(target, name)
         for name in stored_code.copies(target):
@@ -169,7 +169,7 @@ def begin(target: storage.Target, claim: StudyClaim) -> None:
 
 def renew(target: storage.Target, claim: StudyClaim) -> None:
     """Write the study's text, unless it is already there."""
-    if storage.read(target, TEXT) != claim.text.encode():
+    if storage.read_bytes(target, TEXT) != claim.text.encode():
         storage.write_file(target, TEXT, claim.text.encode())
 
 

@@ -65,7 +65,7 @@ def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = S
                 "study with other seeds; merge datasets of one study."
             )
     into = storage.target(out)
-    if files := storage.names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
+    if files := storage.file_names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
         raise UserError(
             f"{into.name}: holds files already ({files[0]}), expected a new folder; give another with --out, or remove it."
         )
@@ -99,7 +99,7 @@ def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = S
                 storage.write_file(into, block.name, _content(part, block))
             progress.step(1)
     for name, (first, *_) in exact.items():
-        storage.put_table(into, name, _exact_rows(first, union))
+        storage.write_table(into, name, _exact_rows(first, union))
     blocks, n_missing = block_files.present(into), run_missing.count_missing(into, union)
     if not n_missing:  # every observer has the same seeds
         engines = sorted({cell.engine for claim in claims for cell in claim.cells})
@@ -151,7 +151,7 @@ def _content(part: Part, block: Block) -> pa.Buffer:
     """The bytes of a part's block for some seeds; if these are all its seeds, the bytes of its file."""
     if block != part.source:
         return parquet_io.encode_table(_cut(block_files.read_block(part.target, part.source), block))
-    content = storage.get(part.target, block.name)
+    content = storage.read_buffer(part.target, block.name)
     if content is None:
         raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
     return content
@@ -195,14 +195,14 @@ def _exact_files(
         file, numbers = moments_tables.moments_file, _numbers(claim, union)
         names = {file(s, n): file(s, number) for (s, n), number in numbers.items()}
         names[moments_tables.NAME] = moments_tables.NAME
-        for name in filter(names.__contains__, storage.names(target)):
+        for name in filter(names.__contains__, storage.file_names(target)):
             out.setdefault(names[name], []).append(ExactFile(target, claim, name))
     return dict(sorted(out.items()))
 
 
 def _exact_rows(file: ExactFile, union: StudyClaim) -> pa.Table:
     """Return the rows of a file for the merged dataset."""
-    table = parquet_io.unseal_table(storage.get(file.target, file.name))
+    table = parquet_io.unseal_table(storage.read_buffer(file.target, file.name))
     if table is None:
         raise UserError(
             f"{file.target.name}/{file.name}: is damaged, expected a whole file; run its study again first."

@@ -42,7 +42,7 @@ def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], 
     if old_table is not None and not claim.overwrite and parquet_io.metadata(old_table).get(OF) == mark:
         return False
     manifest.begin(target, claim)
-    for name in [n for n in storage.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
+    for name in [n for n in storage.file_names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
         storage.remove(target, name)
     from pcbench.dataset.moments_frames import Exact  # imports pandas, which studies of runs do not need
 
@@ -52,7 +52,7 @@ def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], 
     with thread_pools.pool(WRITERS, always_wait=True) as threads:  # the next are computed while files wait for the disk
         futures: deque[Future[None]] = deque()
         for name, table in _over_time(claim, exact, parts, progress):
-            futures.append(threads.submit(storage.put_table, target, name, parquet_io.seal_table(table)))
+            futures.append(threads.submit(storage.write_table, target, name, parquet_io.seal_table(table)))
             if len(futures) > 2 * WRITERS:
                 futures.popleft().result()
         for future in futures:
@@ -67,7 +67,7 @@ def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], 
             f"{target.name}: {len(refusals) - MAX_REFUSALS} more have no exact value; the column reason of stats shows why."
         )
     table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})
-    storage.put_table(target, NAME, parquet_io.seal_table(table))
+    storage.write_table(target, NAME, parquet_io.seal_table(table))
     return True
 
 
@@ -91,7 +91,7 @@ def _over_time(
 
 def load_exact_rows(target: storage.Target) -> pa.Table | None:
     """Return the exact rows of a dataset; None if there are none, or if they were changed."""
-    return parquet_io.unseal_table(storage.get(target, NAME))
+    return parquet_io.unseal_table(storage.read_buffer(target, NAME))
 
 
 def rows_by_cell(target: storage.Target) -> dict[tuple[str, int], pa.Table]:

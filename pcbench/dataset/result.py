@@ -42,7 +42,7 @@ def open_result(out: str | Path) -> "Result":
             f"{target.name}/study.toml --out {target.name}."
         )
     result = Result(claim.study, target, out, Cost())
-    if (content := storage.get(target, FAIR)) is not None:
+    if (content := storage.read_buffer(target, FAIR)) is not None:
         if (table := parquet_io.unseal_table(content)) is None:
             raise _damage_error(target, FAIR)
         fair = table.to_pandas()
@@ -107,12 +107,12 @@ class Result:
 
         None are kept of a study of more than 1,000 grid points; `pcbench.exact_moments` computes them for one.
         """
-        return self._moments(storage.names(self._target, moments_tables.FOLDER))
+        return self._moments(storage.file_names(self._target, moments_tables.FOLDER))
 
     def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":
         """Return the rows of `moments` of one grid point; none if it has no exact results."""
         name = moments_tables.moments_file(scenario, cell)
-        return self._moments([name] if storage.get(self._target, name) is not None else [])
+        return self._moments([name] if storage.read_buffer(self._target, name) is not None else [])
 
     def _moments(self, names: list[str]) -> "pd.DataFrame":
         import pandas as pd
@@ -121,7 +121,7 @@ class Result:
 
         frames = []
         for name in names:
-            table = parquet_io.unseal_table(storage.get(self._target, name))
+            table = parquet_io.unseal_table(storage.read_buffer(self._target, name))
             if table is None:
                 raise _damage_error(self._target, name)
             scenario, cell = (part.partition("=")[2] for part in name.removesuffix(".parquet").split("/")[-2:])

@@ -230,7 +230,7 @@ def run_blocks(
     """
     todo = missing_seeds(claim, blocks, seeds_of, partial(_block_size, claim, seeds_of, sizes))
     if not todo:
-        storage.clear(target)  # also of a run that was killed while it wrote the closing tables
+        storage.remove_unfinished(target)  # also of a run that was killed while it wrote the closing tables
         manifest.renew(target, claim)
         return Cost()
     _require_simulated(claim, todo)

@@ -32,7 +32,7 @@ def kind_of(out: str | Path) -> str:
 def write_table(out: str | Path, table: pa.Table) -> None:
     """Write a table to a file, completely or not at all."""
     if kind_of(out) == ".parquet":
-        storage.put_table(*_place(out), table)
+        storage.write_table(*_place(out), table)
     else:
         put_content(out, as_csv(table))
 
@@ -53,7 +53,7 @@ def _place(out: str | Path) -> tuple[storage.Target, str]:
     """The folder of a file, which is created, and the file's name in it."""
     folder, _, name = str(out).replace("\\", "/").rpartition("/")
     target = storage.target(folder or ("/" if str(out).startswith("/") else "."))
-    storage.make(target)
+    storage.create_folder(target)
     return target, name
 
 

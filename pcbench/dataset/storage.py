@@ -145,17 +145,17 @@ def _require_no_link(target: Target, name: str) -> None:
             )
 
 
-def put_table(target: Target, name: str, table: pa.Table, durable: bool = True) -> None:
+def write_table(target: Target, name: str, table: pa.Table, durable: bool = True) -> None:
     """Write one Parquet file, after a check of its number of rows and its metadata."""
     write_file(target, name, parquet_io.encode_table(table), durable)
 
 
-def put_json(target: Target, name: str, content: Mapping[str, object]) -> None:
+def write_json(target: Target, name: str, content: Mapping[str, object]) -> None:
     """Write one JSON file."""
     write_file(target, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
+def write_files(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
     """Put files that belong together: in a folder of this machine all of them, or none if this is interrupted."""
     temporary = {
         name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" if target.local else name for name in files
@@ -195,16 +195,16 @@ def sync(target: Target, folders: Iterable[str]) -> None:
         _sync_folder(Path(target.root) / folder)
 
 
-def document(target: Target, name: str) -> Json | None:
+def read_json(target: Target, name: str) -> Json | None:
     """Return the object of a JSON file; None if the file is missing or contains no JSON object."""
     try:
-        content = json.loads(read(target, name) or b"null")
+        content = json.loads(read_bytes(target, name) or b"null")
     except ValueError:
         return None
     return content if isinstance(content, dict) else None
 
 
-def get(target: Target, name: str) -> pa.Buffer | None:
+def read_buffer(target: Target, name: str) -> pa.Buffer | None:
     """Return the content under a name as a buffer; None if there is none. Raises UserError for a link."""
     _require_no_link(target, name)
     with file_errors(f"{target.name}/{name}", "read"):
@@ -214,22 +214,22 @@ def get(target: Target, name: str) -> pa.Buffer | None:
             return file.read_buffer()
 
 
-def read(target: Target, name: str) -> bytes | None:
+def read_bytes(target: Target, name: str) -> bytes | None:
     """Return the content under a name as bytes; None if there is none."""
-    content = get(target, name)
+    content = read_buffer(target, name)
     return None if content is None else content.to_pybytes()
 
 
-def names(target: Target, folder: str = "") -> list[str]:
+def file_names(target: Target, folder: str = "") -> list[str]:
     """Return the names of all files below a folder of the target, sorted, without those that begin with a dot or _.
 
     A link counts as a file and is not followed.
     """
-    return sorted(sizes(target, folder))
+    return sorted(file_sizes(target, folder))
 
 
-def sizes(target: Target, folder: str = "") -> dict[str, int]:
-    """Return the sizes [bytes] of the files of `names`."""
+def file_sizes(target: Target, folder: str = "") -> dict[str, int]:
+    """Return the sizes [bytes] of the files of `file_names`."""
     with file_errors(target.name, "read"):
         base = f"{target.root}/{folder}" if folder else target.root
         if target.local:
@@ -256,7 +256,7 @@ def _files(folder: str) -> Iterator[tuple[str, int]]:
                 yield entry.path, entry.stat(follow_symlinks=False).st_size
 
 
-def footer(target: Target, name: str) -> pq.FileMetaData | None:
+def read_footer(target: Target, name: str) -> pq.FileMetaData | None:
     """Return a Parquet file's metadata without its rows; None if they are unreadable. Raises UserError for a link."""
     _require_no_link(target, name)
     try:
@@ -273,14 +273,14 @@ def remove(target: Target, name: str) -> None:
         os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
 
 
-def make(target: Target) -> None:
+def create_folder(target: Target) -> None:
     """Create the target, and remove unfinished files of killed writers."""
     with file_errors(target.name):
         target.fs.create_dir(target.root, recursive=True)
-    clear(target)
+    remove_unfinished(target)
 
 
-def clear(target: Target) -> None:
+def remove_unfinished(target: Target) -> None:
     """Remove unfinished files of killed writers in a target."""
     with file_errors(target.name):
         for path in unfinished_files(target):

@@ -27,7 +27,7 @@ def store_code(target: storage.Target, study: Study) -> None:
     for plugin in study._plugins.values():
         for name, text in plugin.code.files:
             path = f"{user_code.FOLDER}/{plugin.code.digest}/{name}"
-            if storage.read(target, path) != text:
+            if storage.read_bytes(target, path) != text:
                 storage.write_file(target, path, text)
 
 
@@ -35,7 +35,10 @@ def files_in(target: storage.Target, table: TomlTable) -> Files:
     """Return the digests of the copies of users' code of the study in `table`."""
     folders = {name: f"{user_code.FOLDER}/{digest}" for name, digest in table["resolved"].get("code", {}).items()}
     return {
-        name: {PurePosixPath(file).name: _digest(storage.read(target, file)) for file in storage.names(target, folder)}
+        name: {
+            PurePosixPath(file).name: _digest(storage.read_bytes(target, file))
+            for file in storage.file_names(target, folder)
+        }
         for name, folder in folders.items()
     }
 
@@ -51,7 +54,7 @@ def _digest(text: bytes | None) -> str:
 
 def copies(target: storage.Target) -> list[str]:
     """Return the names of the copies of users' code in a target; raise UserError for any other file among them."""
-    names = storage.names(target, user_code.FOLDER)
+    names = storage.file_names(target, user_code.FOLDER)
     for name in names:
         if not COPY.fullmatch(name):
             raise UserError(
@@ -64,7 +67,7 @@ def copies(target: storage.Target) -> list[str]:
 def copy(target: storage.Target, into: storage.Target) -> None:
     """Copy the users' code of one dataset into another."""
     for name in copies(target):
-        if (text := storage.read(target, name)) is not None:
+        if (text := storage.read_bytes(target, name)) is not None:
             storage.write_file(into, name, text)
 
 
@@ -115,9 +118,9 @@ def _absent(reference: PluginReference, code: user_code.Code, resolved: TomlTabl
 
 def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:
     """The files of a copy, the module first; raise UserError if they have changed."""
-    names = {PurePosixPath(name).name for name in storage.names(target, str(path.parent))} - {path.name}
+    names = {PurePosixPath(name).name for name in storage.file_names(target, str(path.parent))} - {path.name}
     order = [path.name, *sorted(name for name in names if name.endswith(".py"))]
-    files = tuple((name, storage.read(target, f"{path.parent}/{name}") or b"") for name in order)
+    files = tuple((name, storage.read_bytes(target, f"{path.parent}/{name}") or b"") for name in order)
     if user_code.digest(files) != path.parent.name:
         raise UserError(
             f"{target.name}/{path}: is gone or changed, expected the code that the runs were made with; run the study again "

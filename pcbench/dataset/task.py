@@ -82,7 +82,9 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     start, target = perf_counter(), storage.target(work.out)
     blocks = {} if call else dict(files(work, task, p, results))
     for name, table in blocks.items():
-        storage.put_table(target, name, table, durable=False)  # `run_missing` syncs the names of all blocks at the end
+        storage.write_table(
+            target, name, table, durable=False
+        )  # `run_missing` syncs the names of all blocks at the end
     cost = timing.Cost(
         runs=task.runs,
         compiled={(config.name(), program.number): program.compile_seconds},

@@ -99,10 +99,10 @@ def status(out: str | Path) -> Status:
     return Status(
         study=claim.study.name,
         shares=shares,
-        damaged=[b.name for b in blocks if storage.footer(target, b.name) is None] + close.damaged_files(target),
+        damaged=[b.name for b in blocks if storage.read_footer(target, b.name) is None] + close.damaged_files(target),
         doubled=[b.name for b in sorted(set(blocks) - set(valid))],
         unfinished=[p.name for p in storage.unfinished_files(target)],
-        bytes=sum(storage.sizes(target).values()),
+        bytes=sum(storage.file_sizes(target).values()),
         closed=close.is_closed(target, blocks),
     )
 
@@ -164,8 +164,8 @@ def _changed_files(target: storage.Target, claim: StudyClaim) -> Iterator[str]:
     record = close.record(target)
     if record and record["study_sha256"] != digest(claim.study, claim.cells):
         yield f"{manifest.TEXT}: is not of the study that was run; run that study again to write it again."
-    for name in [n for n in storage.names(target) if n.startswith(OPTIONAL) or n in (FAIR, moments_tables.NAME)]:
-        if parquet_io.unseal_table(storage.get(target, name)) is None:
+    for name in [n for n in storage.file_names(target) if n.startswith(OPTIONAL) or n in (FAIR, moments_tables.NAME)]:
+        if parquet_io.unseal_table(storage.read_buffer(target, name)) is None:
             yield f"{name}: has changed; remove it, and run the study again."
 
 

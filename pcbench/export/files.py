@@ -197,9 +197,9 @@ def require_place(out: str | Path) -> None:
 def write(export: ExportedObserver, out: str | Path) -> list[Path]:
     """Write the files into a new or existing folder, all or none; raise UserError if that fails."""
     target = storage.target(Path(out).expanduser())
-    storage.make(target)
+    storage.create_folder(target)
     each = {name: content if isinstance(content, bytes) else content.encode() for name, content in export.files.items()}
-    storage.put_all(target, each)
+    storage.write_files(target, each)
     return [Path(target.root) / name for name in export.files]
 
 

@@ -112,8 +112,8 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         target = storage.target(out)
         claim = manifest.claim(target, grid)
         plans = [runs.plan_without_observers(cell) for cell in claim.cells]
-        storage.make(target)
-        if storage.read(target, manifest.TEXT) is None:
+        storage.create_folder(target)
+        if storage.read_bytes(target, manifest.TEXT) is None:
             manifest.renew(target, claim)
         seeds = grid.study.first_seed + np.arange(grid.study.seeds)
         progress.begin("runs", len(seeds) * len(plans))
@@ -143,7 +143,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
         keys = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in CELL.items())
         files[f"{FOLDER}/README.md"] = README.format(rows=rows, keys=keys).encode()
-        storage.put_all(target, files)
+        storage.write_files(target, files)
         return target
 
 

@@ -103,7 +103,7 @@ def score(
                 certificates={name: no_certificate(ONE_AT_A_TIME)}, predicts_unknown_input={name: None}, labels=(name,)
             )
             file_name, rows = task.block(work, p, name, results, seeds)
-            storage.put_table(target, file_name, rows)
+            storage.write_table(target, file_name, rows)
         say(f"{name}: {TRUSTED}")
         return run_study.execute(grid, folder, RunOptions(progress=progress, say=say))
 
@@ -115,7 +115,7 @@ def extend_study(target: storage.Target, name: str) -> Grid:
             f"--name: got '{short(name)}', expected letters, digits and '-', and no name that begins as one of pcbench's own "
             "observers; write another, such as matlab-ekf."
         )
-    text = storage.read(target, manifest.TEXT)
+    text = storage.read_bytes(target, manifest.TEXT)
     if text is None:
         raise UserError(
             f"{target.name}: holds no study, expected a folder that pcbench external prepare has written; name that one."

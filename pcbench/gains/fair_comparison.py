@@ -34,7 +34,7 @@ def report(explicit_study: ExplicitStudy, result: Result, out: str | Path | None
     result.fair = table(explicit_study.versions, explicit_study.aim, training.stats, result.stats)
     if out is not None:
         content = pa.Table.from_pandas(result.fair, preserve_index=False)
-        storage.put_table(storage.target(str(out)), FAIR, parquet_io.seal_table(content))
+        storage.write_table(storage.target(str(out)), FAIR, parquet_io.seal_table(content))
     return result
 
 

@@ -219,7 +219,7 @@ def _require_study_folder(study: Study, out: str | Path | None, overwrite: bool)
     if out is None:
         return
     target = storage.target(str(out))
-    manifest, names = storage.read(target, TEXT), storage.names(target)
+    manifest, names = storage.read_bytes(target, TEXT), storage.file_names(target)
     other_files = [name for name in names if not name.startswith(KNOWN_FILES)]
     if manifest is None and other_files:
         raise UserError(

@@ -102,7 +102,7 @@ class History:
             columns[f"slope.{name}"] = pa.array(slopes, float64)
         columns["seconds"] = np.array([p.seconds for p in points])
         metadata = {ABOUT: self.about.encode(), BASIS: json.dumps(self.basis).encode()}
-        storage.put_table(self.target, self.file, pa.table(columns).replace_schema_metadata(metadata))
+        storage.write_table(self.target, self.file, pa.table(columns).replace_schema_metadata(metadata))
         self.written = monotonic()
 
 
@@ -113,9 +113,9 @@ def basis_of(study: Study, cell: Cell) -> TomlTable:
 
 def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str) -> list[Evaluation]:
     """Return the points of an earlier run; raise AnotherTuning if they are those of another tuning."""
-    content = storage.get(target, file)
+    content = storage.read_buffer(target, file)
     if content is None:
-        if other_files := [name for name in storage.names(target) if name not in (HISTORY, FOUND)]:
+        if other_files := [name for name in storage.file_names(target) if name not in (HISTORY, FOUND)]:
             raise UserError(
                 f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one "
                 "with --out."
@@ -161,7 +161,7 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
     `task` describes the finished tuning, `about` and `basis` its history.
     """
     try:
-        study = toml_text.parse(storage.read(target, FOUND) or b"")
+        study = toml_text.parse(storage.read_bytes(target, FOUND) or b"")
         record = study.pop("resolved")["tuning"]
         if record.pop("about") != task:
             return None
@@ -183,8 +183,8 @@ def copy_from_cache(target: storage.Target, task: str, about: str, basis: TomlTa
     place = _cache_folder(task, basis)
     source = storage.target(place)
     with suppress(UserError):
-        if not storage.names(target) and load_finished(source, task, about, basis):
-            storage.make(target)
+        if not storage.file_names(target) and load_finished(source, task, about, basis):
+            storage.create_folder(target)
             for name in (HISTORY, FOUND):  # in this order, because a result without its history is invalid
                 storage.write_file(target, name, (place / name).read_bytes())
 
@@ -192,7 +192,7 @@ def copy_from_cache(target: storage.Target, task: str, about: str, basis: TomlTa
 def keep_result(target: storage.Target, task: str, basis: TomlTable) -> None:
     """Store a finished tuning in the cache for `copy_from_cache`."""
     for name in (HISTORY, FOUND):
-        cache.keep(_cache_folder(task, basis) / name, storage.get(target, name) or b"")
+        cache.keep(_cache_folder(task, basis) / name, storage.read_buffer(target, name) or b"")
 
 
 def _cache_folder(task: str, basis: TomlTable) -> Path:

@@ -205,7 +205,7 @@ def descend(
         progress.note(f"least so far {trials.best.value:.5g}")
         return value, slope
 
-    storage.make(trials.target)
+    storage.create_folder(trials.target)
     if optimizer == "descent":
         optimizers.descent(ask, start, budget)
     else:

@@ -203,7 +203,7 @@ class Refusals(NamedTuple):
 def stored_values(folder: str | Path, q: Question) -> list[float]:
     """Return the values of the axis already stored in a folder; empty if it contains no study."""
     target = storage.target(str(folder))
-    if storage.read(target, manifest.TEXT) is None:
+    if storage.read_bytes(target, manifest.TEXT) is None:
         return []
     return [q.axis.number(value) for value in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 

@@ -133,7 +133,7 @@ class Draft:
 
     def finish(self, summary: Mapping[str, object]) -> None:
         """Write all other results next to the tables, NaN as null, and rename the files to their final names."""
-        storage.put_json(storage.target(self.folder), self.summary.name, plain(summary))
+        storage.write_json(storage.target(self.folder), self.summary.name, plain(summary))
         names = [name for name in TABLES if name in self._writers]
         storage.rename_all([(self.part(name), self.folder / name) for name in (*names, SUMMARY)])
         for name in set(TABLES) - set(names):  # from an earlier replay
@@ -169,7 +169,7 @@ def draft(folder: Path) -> Iterator[Draft]:
 def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
     """Write the summary of a replay without estimates to a folder; raise UserError if that fails."""
     with draft(folder) as files:
-        storage.put_json(storage.target(folder), files.summary.name, plain(summary))
+        storage.write_json(storage.target(folder), files.summary.name, plain(summary))
         storage.rename_all([(files.summary, folder / SUMMARY)])
 
 

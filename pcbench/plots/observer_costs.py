@@ -49,7 +49,7 @@ class CacheEntry(NamedTuple):
 
 def load_table(out: str | Path | None, entry: CacheEntry) -> pd.DataFrame | None:
     """Return the entry of `out` with this key; None if there is none or it has another type."""
-    content = None if out is None else storage.get(storage.target(str(out)), entry.path)
+    content = None if out is None else storage.read_buffer(storage.target(str(out)), entry.path)
     table = None if content is None else parquet_io.unseal_table(content)
     return table.to_pandas() if table is not None and table.schema.metadata.get(KEY) == entry.key else None
 
@@ -59,7 +59,7 @@ def store(out: str | Path | None, entry: CacheEntry, frame: pd.DataFrame) -> pd.
     if out is not None:
         table = pa.Table.from_pandas(frame, preserve_index=False)
         metadata = {**(table.schema.metadata or {}), KEY: entry.key}
-        storage.put_table(
+        storage.write_table(
             storage.target(str(out)), entry.path, parquet_io.seal_table(table.replace_schema_metadata(metadata))
         )
     return frame

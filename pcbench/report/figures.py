@@ -264,7 +264,7 @@ def put_figures(
 ) -> list[str]:
     """Write figures into a folder, and return the names of the files, without their suffix."""
     target, names = storage.target(str(out)), []
-    storage.make(target)
+    storage.create_folder(target)
     progress.begin("figures", None)
     for picture in pictures:
         for kind in formats:

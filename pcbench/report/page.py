@@ -80,7 +80,7 @@ def write_page(text: str, out: str | Path) -> int:
     """Write a page as one file, and return its size in bytes."""
     content = text.encode()
     target = storage.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
-    storage.make(target)
+    storage.create_folder(target)
     storage.write_file(target, str(out).replace("\\", "/").rpartition("/")[2], content)
     return len(content)
 

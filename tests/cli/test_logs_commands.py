@@ -127,7 +127,7 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
             draft.close()
             draft.finish({})
 
-    monkeypatch.setattr(storage, "put_json", stopped)
+    monkeypatch.setattr(storage, "write_json", stopped)
     with pytest.raises(KeyboardInterrupt):
         replayed()
     assert standing(tmp_path) == before
@@ -137,7 +137,7 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
 def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
     """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
     target, names, calls = storage.target(tmp_path), ("a", "b/b", "c"), []
-    storage.put_all(target, dict.fromkeys(names, b"old"))
+    storage.write_files(target, dict.fromkeys(names, b"old"))
     module = storage if at == "write_file" else os
     does = getattr(module, at)
 
@@ -148,7 +148,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
 
     monkeypatch.setattr(module, at, stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
-        storage.put_all(target, dict.fromkeys(names, b"new"))
+        storage.write_files(target, dict.fromkeys(names, b"new"))
     assert standing(tmp_path) == dict.fromkeys(names, left)
 
 

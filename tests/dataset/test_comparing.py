@@ -38,13 +38,13 @@ def stepwise(p):
 def change(out, column, factor, rows):
     """Multiply numbers of stats.parquet, as another release might."""
     place = storage.target(out)
-    table = parquet_io.parse_table(storage.get(place, "stats.parquet"))
+    table = parquet_io.parse_table(storage.read_buffer(place, "stats.parquet"))
     frame = table.to_pandas()
     chosen = frame.eval(rows)
     assert chosen.any()
     values = frame[column].where(~chosen, frame[column] * factor)
     i = table.schema.get_field_index(column)
-    storage.put_table(
+    storage.write_table(
         place, "stats.parquet", table.set_column(i, table.schema.field(i), pa.array(values, pa.float64()))
     )
     sealed_again(out)

@@ -88,12 +88,12 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     (path,) = (copy / "examples").iterdir()
     content, table = (
         path.read_bytes(),
-        parquet_io.parse_table(storage.get(storage.target(copy), f"examples/{path.name}")),
+        parquet_io.parse_table(storage.read_buffer(storage.target(copy), f"examples/{path.name}")),
     )
     values = table["value"].to_numpy().copy()
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
-    storage.put_table(storage.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
+    storage.write_table(storage.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
     (wrong,) = verify.verify(copy, 0, 0).wrong
     assert wrong.startswith("examples/")
     assert one_run.frame_of(study, "cart/slow", copy).equals(made)

@@ -196,7 +196,7 @@ def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another
     table = block_files.read_block(place, block)
     i = table.schema.get_field_index("mae")
     moved = table.set_column(i, table.schema.field(i), pa.array(table["mae"].to_numpy() * (1 + 1e-13)))
-    storage.put_table(place, block.name, block_files.seal_block(moved, block_files.about(table)))
+    storage.write_table(place, block.name, block_files.seal_block(moved, block_files.about(table)))
     for order in ("abc", "cba"):
         with pytest.raises(UserError, match="expected equal rows"):
             merge.merge([tmp_path / name for name in order], tmp_path / order)

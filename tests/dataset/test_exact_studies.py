@@ -128,7 +128,7 @@ def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
     means = table["mean"].to_pylist()
     means[at] *= 1 + 1e-6
     column = pa.array(means, table.schema.field(i).type)
-    storage.put_table(
+    storage.write_table(
         storage.target(copy),
         moments_tables.NAME,
         parquet_io.seal_table(table.set_column(i, table.schema.field(i), column)),

@@ -118,14 +118,14 @@ def test_forms_of_what_is_removed_leave_names_of_users_alone(tmp_path):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
     gain_variants._require_study_folder(STUDIES["quick"], tmp_path, True)
-    assert storage.names(storage.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
+    assert storage.file_names(storage.target(tmp_path)) == ["tuning/kf/tuned.toml.old", "tuning/mine/notes.txt"]
 
 
 def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
     """Whoever may write into the folder cannot choose by a link where the next unfinished file is written."""
     victim, target = tmp_path / "victim", storage.target(tmp_path / "ds")
     victim.write_text("mine")
-    storage.make(target)
+    storage.create_folder(target)
     monkeypatch.setattr(storage, "_COUNT", iter([7, 7, 8, 9]))
     storage.write_file(target, "first", b"1")
     unfinished = next(iter(storage._partial(target.root)[:1]))
@@ -139,7 +139,7 @@ def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
 
 
 def test_fresh_accepts_the_report_beside_exact_results(ds):
-    for name in storage.names(storage.target(ds), "runs"):
+    for name in storage.file_names(storage.target(ds), "runs"):
         (ds / name).unlink()
     (ds / "report.html").write_text("a page of pcbench report")
     pcbench.run(**ASKED, out=ds, overwrite=True)

@@ -64,7 +64,7 @@ def test_parts_that_disagree_are_not_merged(copy, whole, tmp_path):
     table = block_files.read_block(place, b)
     i = table.schema.get_field_index("mae")
     changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 1e-12)])
-    storage.put_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))
+    storage.write_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))
     with pytest.raises(UserError, match=r"differ by 1.0e-12 of themselves"):
         merge.merge([whole, copy], tmp_path / "both")
     assert not (tmp_path / "both").exists()
@@ -113,7 +113,7 @@ def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
     table = moments_tables.load_exact_rows(b)
     i = table.schema.get_field_index("mean")
     column = pc.multiply(table["mean"], factor)
-    storage.put_table(b, "exact.parquet", parquet_io.seal_table(table.set_column(i, table.schema.field(i), column)))
+    storage.write_table(b, "exact.parquet", parquet_io.seal_table(table.set_column(i, table.schema.field(i), column)))
     if refused:
         with pytest.raises(UserError, match=r"exact.parquet: differs from .*by more than rounding"):
             merge.merge([exact_parts[0], b.root], tmp_path / "both")
@@ -127,7 +127,7 @@ def test_a_reason_may_name_its_cell_by_another_number(exact_parts, tmp_path):
     b = storage.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
     table = moments_tables.load_exact_rows(b)
     other = parquet_io.with_column(table, "reason", ["cart/slow, cell 7: is not affine"] * len(table))
-    storage.put_table(b, "exact.parquet", parquet_io.seal_table(other))
+    storage.write_table(b, "exact.parquet", parquet_io.seal_table(other))
     assert merge.merge([exact_parts[0], b.root], tmp_path / "both").missing == 0
 
 

@@ -167,7 +167,7 @@ def test_a_study_whose_text_is_lost_knows_blocks_by_their_code(here, out):
 def test_only_what_is_named_is_copied(here):
     pcbench.run(STUDY | {"observers": ["kfbo"], "seeds": 4}, out="plain")
     assert not (here / "plain" / "code").exists()
-    assert storage.names(storage.target("plain"), "code") == []
+    assert storage.file_names(storage.target("plain"), "code") == []
 
 
 LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "kf"], "seeds": 4}

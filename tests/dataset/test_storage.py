@@ -23,7 +23,7 @@ TABLE = pa.table({"seed": list(range(1000)), "mae": [0.1 * i for i in range(1000
 @pytest.fixture
 def place(tmp_path):
     made = storage.target(tmp_path / "out")
-    storage.make(made)
+    storage.create_folder(made)
     return made
 
 
@@ -47,14 +47,14 @@ def s3():
 
 def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
     for each in (place, storage.target(s3("a/b"))):
-        storage.put_table(each, "runs/scenario=x/part.parquet", TABLE)
-        storage.put_json(each, "provenance.json", {"a": 1})
-        assert storage.names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
-        assert parquet_io.parse_table(storage.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
-        assert storage.get(each, "nothing") is None
+        storage.write_table(each, "runs/scenario=x/part.parquet", TABLE)
+        storage.write_json(each, "provenance.json", {"a": 1})
+        assert storage.file_names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
+        assert parquet_io.parse_table(storage.read_buffer(each, "runs/scenario=x/part.parquet")).equals(TABLE)
+        assert storage.read_buffer(each, "nothing") is None
         storage.remove(each, "provenance.json")
         storage.remove(each, "provenance.json")
-        assert storage.names(each) == ["runs/scenario=x/part.parquet"]
+        assert storage.file_names(each) == ["runs/scenario=x/part.parquet"]
 
 
 @pytest.mark.ci
@@ -95,21 +95,21 @@ def refusing(monkeypatch, name, code):
 @pytest.mark.parametrize("call", ["fsync", "replace"])
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT, errno.EIO])
 def test_a_refusal_is_one_sentence_and_keeps_the_old_file(place, monkeypatch, call, code):
-    storage.put_json(place, "a.json", {"old": 1})
+    storage.write_json(place, "a.json", {"old": 1})
     refusing(monkeypatch, call, code)
     with pytest.raises(UserError, match=rf"a.json: cannot be written \({os.strerror(code)}\)") as caught:
-        storage.put_json(place, "a.json", {"new": 1})
+        storage.write_json(place, "a.json", {"new": 1})
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    assert storage.read(place, "a.json") == b'{\n  "old": 1\n}\n'
-    assert storage.names(place) == ["a.json"]
+    assert storage.read_bytes(place, "a.json") == b'{\n  "old": 1\n}\n'
+    assert storage.file_names(place) == ["a.json"]
     assert [p.name for p in Path(place.root).iterdir()] == ["a.json"], "nothing unfinished is left"
 
 
 def test_a_folder_that_was_removed_is_not_made_again(place):
     Path(place.root).rmdir()
     with pytest.raises(UserError, match="No such file or directory"):
-        storage.put_table(place, "runs/part.parquet", TABLE)
+        storage.write_table(place, "runs/part.parquet", TABLE)
     assert not Path(place.root).exists()
 
 
@@ -123,7 +123,7 @@ def test_a_disk_that_is_full_indeed(tmp_path):
         storage.write_file(full, "small", b"x" * 1000)
         with pytest.raises(UserError, match="No space left on device"):
             storage.write_file(full, "large", b"x" * 100_000)
-        assert storage.names(full) == ["small"]
+        assert storage.file_names(full) == ["small"]
         assert [p.name for p in tmp_path.iterdir()] == ["small"]
     finally:
         subprocess.run(["umount", str(tmp_path)], check=True)
@@ -141,9 +141,9 @@ def test_what_a_killed_writer_left_is_cleared_and_a_living_ones_is_not(place):
     ):
         (root / name).write_bytes(b"half")
     os.utime(root / ".elsewhere-1-0.partial", (0, 0))
-    storage.make(place)
+    storage.create_folder(place)
     assert {p.name for p in root.iterdir()} == {f".{host}-{os.getpid()}-7.partial", ".x.partial"}, "one is not ours"
-    assert storage.names(place) == []
+    assert storage.file_names(place) == []
 
 
 def test_two_writers_of_one_name_leave_one_whole_file(place):
@@ -153,8 +153,8 @@ def test_two_writers_of_one_name_leave_one_whole_file(place):
         t.start()
     for t in threads:
         t.join()
-    assert storage.read(place, "runs/a.parquet") == content
-    assert storage.names(place) == ["runs/a.parquet"]
+    assert storage.read_bytes(place, "runs/a.parquet") == content
+    assert storage.file_names(place) == ["runs/a.parquet"]
 
 
 @pytest.mark.parametrize(
@@ -162,5 +162,5 @@ def test_two_writers_of_one_name_leave_one_whole_file(place):
 )
 def test_a_place_that_cannot_be_reached_is_one_sentence(uri):
     with pytest.raises(UserError, match=r"cannot be|no place") as caught:
-        storage.names(storage.target(uri))
+        storage.file_names(storage.target(uri))
     assert "\n" not in str(caught.value)

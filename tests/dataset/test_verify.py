@@ -43,7 +43,7 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
     values = table["rmse"].to_numpy().copy()
     values[7] = np.nextafter(values[7], 1e9)
     changed = table.set_column(i, table.schema.field(i), [values])
-    storage.put_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))
+    storage.write_table(place, b.name, block_files.seal_block(changed, block_files.about(table)))
     found = verify.verify(mine, None, 0)
     assert len(found.differing) == 1
     assert b.name in found.differing[0]

@@ -75,7 +75,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
         changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 3e-15)])
         about = block_files.about(table)
         about["versions"]["compiler"] = "--xla_cpu_max_isa=SSE4_2"
-        storage.put_table(place, b.name, block_files.seal_block(changed, about))
+        storage.write_table(place, b.name, block_files.seal_block(changed, about))
     for sentence in verify.verify(tmp_path / "plain", None, 0).differing:
         assert "made with compiler --xla_cpu_max_isa=SSE4_2, now defaults; numbers differ by " in sentence
         assert sentence.endswith("(rounding).")
