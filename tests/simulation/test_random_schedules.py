@@ -350,7 +350,7 @@ def test_losses_do_not_move_the_times():
 
 
 @pytest.mark.parametrize(
-    "change", [{"jitter": 0}, {"spread": 0}, {"profile": "periodic"}, {"period": 20}, {"delay": 3}]
+    "change", [{"jitter": 0}, {"delay_jitter": 0}, {"profile": "periodic"}, {"period": 20}, {"delay": 3}]
 )
 def test_times_do_not_move_the_losses(change):
     known = slice(0, 4)  # taken within every horizon
@@ -361,7 +361,7 @@ def test_times_do_not_move_the_losses(change):
 
 def test_jitters_leave_alone_what_they_are_not_of():
     base = times_of(PAIR)
-    for change in ({"spread": 0}, {"delay": 40}):
+    for change in ({"delay_jitter": 0}, {"delay": 40}):
         for (taken, _), (same, _) in zip(base, times_of(changed(**change)), strict=True):
             np.testing.assert_array_equal(taken, same)
     for (taken, _), (due, _) in zip(base, times_of(changed(jitter=0)), strict=True):
