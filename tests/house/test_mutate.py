@@ -24,7 +24,7 @@ def mutate(*words):
     return subprocess.run(words, capture_output=True, text=True, check=False, timeout=600)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("text", "score", "code"), [(SEES, "4 of 4", 0), (BLIND, "0 of 4", 1)], ids=["sees", "blind"])
 def test_the_score_is_the_share_of_mutants_on_which_a_test_fails(tmp_path, text, score, code):
     (tmp_path / "test_it.py").write_text(text)
@@ -34,7 +34,7 @@ def test_the_score_is_the_share_of_mutants_on_which_a_test_fails(tmp_path, text,
     assert done.stdout.count("SURVIVED") == (0 if text == SEES else 4)
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("words", "why"),
     [

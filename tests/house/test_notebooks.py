@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
-LONG = ("13_period_and_delay_exactly",)  # takes minutes, the others seconds
+IN_CI = ("01_first_look", "11_your_own", "12_a_loop_of_your_own", "14_a_recording", "15_the_delay_of_a_sensor")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=[pytest.mark.nightly] if p.stem in LONG else []) for p in NOTEBOOKS],
+    [pytest.param(p, marks=pytest.mark.ci if p.stem in IN_CI else pytest.mark.nightly) for p in NOTEBOOKS],
     ids=lambda p: p.stem,
 )
 def test_notebook_runs_and_draws(path, tmp_path):

@@ -1,4 +1,4 @@
-"""Every study that pcbench brings along runs from a shell, in programs as a user has them, on two seeds."""
+"""Every built-in study runs from a shell, on two seeds."""
 
 import shlex
 import subprocess
@@ -44,7 +44,7 @@ def test_a_page_runs_no_less_of_a_study_than_its_short_form(name):
     assert STUDIES[name].evaluation == "exact" or int(made[made.index("--seeds") + 1]) >= 2
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("name", [name for name in STUDIES if name not in BY_A_PAGE])
 def test_it_runs(name, tmp_path):
     """The others run where a page of the guide does (test_guide_commands)."""

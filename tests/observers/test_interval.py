@@ -73,8 +73,11 @@ def reference_ends(case, options):
     return x, *field_observers.interval(model, inputs(case), samples, starts(case)[1], g.L, known)
 
 
-@pytest.mark.parametrize("case", [CART_CASE, CART_NOW, ODD_CASE], ids=["cart, late", "cart", "three states"])
-@pytest.mark.parametrize(("sigmas", "spare"), [(0.3, 0), (3.0, 0), (0.3, 2)])
+@pytest.mark.parametrize(
+    ("case", "sigmas", "spare"),
+    [(CART_CASE, 0.3, 2), (CART_NOW, 3.0, 0), (ODD_CASE, 0.3, 0)],
+    ids=["cart, late", "cart", "three states"],
+)
 def test_both_metrics_equal_the_reference(case, sigmas, spare):
     """With bounds that noise exceeds, the state is in part of the intervals; room for newer samples changes nothing."""
     options = {"sigmas": sigmas, "process_bound": [0.01] * len(case.model.A)}
