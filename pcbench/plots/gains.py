@@ -31,7 +31,16 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     half = 1.96 * table.held_out_se  # of the 95 % interval
     table = table.assign(low=table.held_out - half, high=table.held_out + half)
     look, first = styles(table.observer), table.iloc[0]
-    hollow = Line2D([], [], linestyle="none", label="open: training runs")
+    hollow = Line2D(
+        [],
+        [],
+        linestyle="none",
+        marker="o",
+        markersize=8,
+        markerfacecolor="none",
+        markeredgecolor=SOFT,
+        label="training runs",
+    )
     with sheet(paper, f"{first.scenario}, held-out runs", keys=[hollow]) as (figure, (ax,)):
         place = set_values(ax, "x", list(look))
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())

@@ -332,14 +332,24 @@ def tolerances(table: pd.DataFrame) -> str:
 
 
 def fair(table: pd.DataFrame) -> str:
-    """Return each observer's metric on held-out runs, by kind of gains."""
+    """Return how far apart the observers are by kind of gains, and each observer's metric on held-out runs."""
     first = table[table.cell == table.cell.iloc[0]]
     unit = first.unit.iloc[0]
-    texts = [
+    values = [
         f"{r['observer']} {WORDS[r['tuning']]} {quantity(number(r['held_out']), unit)}"
         for r in first.to_dict("records")
     ]
-    return ", ".join(texts) + "."
+    several = first[first.groupby("observer").tuning.transform("size") > 1]  # without model-only, which has no gains
+    groups = several.groupby("tuning", sort=False).held_out
+    n_observers = several.observer.nunique()
+    ratios = [
+        f"{times(group.max() / group.min())} with {WORDS[str(kind)]}"
+        for kind, group in groups
+        if len(group) == n_observers > 1
+    ]
+    if not ratios:
+        return f"{', '.join(values)}."
+    return f"The values of {n_observers} observers differ by up to {_join(ratios)} gains: {', '.join(values)}."
 
 
 def where(result: Result, part: pd.DataFrame, cell: int) -> str:

@@ -198,7 +198,8 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         yield Picture(f"{name}-calibration", "Calibration of the filters", figure, text, captions.CALIBRATION)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=options.paper)
-        yield Picture("fair", "Published, designed and tuned gains", figure, captions.fair(result.fair))
+        text, note = captions.fair(result.fair), "Lower is better. Lines are 95 % intervals."
+        yield Picture("fair", "Published, designed and tuned gains", figure, text, note)
 
 
 def _consistency(place: Place) -> Iterator[Picture]:

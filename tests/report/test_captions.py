@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Patch
@@ -183,3 +184,21 @@ def test_words_that_are_not_drawn_are_seen(results):
         assert faults(Picture(name, "", figure, "", note), results("white"), 6), note
     assert faults(Picture("x-time", "", figure, "", ""), results("white"), 6) == []
     assert faults(Picture("x-cost", "", figure, "", ""), results("exact"), 6), "it names runs"
+
+
+def test_gains_of_each_kind_have_the_ratio_of_the_largest_to_the_smallest():
+    values = {
+        "published": {"pccebo": 0.6, "kf": 0.2, "model-only": 2.0},
+        "design": {"pccebo": 0.4},
+        "tuned": {"pccebo": 0.3, "kf": 0.2},
+    }
+    rows = [
+        {"cell": 0, "unit": "m", "observer": observer, "tuning": tuning, "held_out": value}
+        for tuning, group in values.items()
+        for observer, value in group.items()
+    ]
+    found = captions.fair(pd.DataFrame(rows))
+    assert found.startswith("The values of 2 observers differ by up to 3× with published and 1.5× with tuned gains: ")
+    assert found.endswith("pccebo tuned 0.3 m, kf tuned 0.2 m.")
+    alone = captions.fair(pd.DataFrame([row for row in rows if row["observer"] == "pccebo"]))
+    assert alone == "pccebo published 0.6 m, pccebo designed 0.4 m, pccebo tuned 0.3 m."
