@@ -2,7 +2,6 @@
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
@@ -19,9 +18,10 @@ TUNINGS = {  # text, marker, and horizontal offset from its observer
 
 
 def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
-    """Return each observer's objective with published, designed and tuned gains: filled held-out runs, open training runs.
+    """Return each observer's objective with published, designed and tuned gains.
 
-    Raises UserError if the result has no table `fair`.
+    Filled marks are held-out runs with 95 % intervals. Open marks are training runs, or the expected value if gains were tuned
+    on it. Raises UserError if the result has no table `fair`.
     """
     if result.fair is None:
         raise UserError(
@@ -31,17 +31,7 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     half = 1.96 * table.held_out_se  # of the 95 % interval
     table = table.assign(low=table.held_out - half, high=table.held_out + half)
     look, first = styles(table.observer), table.iloc[0]
-    hollow = Line2D(
-        [],
-        [],
-        linestyle="none",
-        marker="o",
-        markersize=8,
-        markerfacecolor="none",
-        markeredgecolor=SOFT,
-        label="training runs",
-    )
-    with sheet(paper, f"{first.scenario}, held-out runs", keys=[hollow]) as (figure, (ax,)):
+    with sheet(paper, f"{first.scenario}, held-out runs") as (figure, (ax,)):
         place = set_values(ax, "x", list(look))
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
         ax.set(title=title_of(first.metric, first.signal, first.unit), xlabel="observer")
@@ -55,6 +45,8 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
             )
             ax.scatter(x, group.held_out, c=colours, marker=mark, s=20, zorder=3)
             ax.scatter([], [], c=SOFT, marker=mark, s=20, label=word)
+        tuned_on = "training runs" if table.training_se.any() else "expected value"
+        ax.scatter([], [], facecolors="none", edgecolors=SOFT, marker="o", s=62, linewidths=0.8, label=tuned_on)
     return figure
 
 

@@ -268,7 +268,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
 
 @pytest.mark.nightly
 def test_the_command_prints_all_versions_and_their_gap(tmp_path):
-    words = ["--set", "tune.budget=2", "--set", "tune.training=16", "--seeds", "16", "--observers", "pccebo,kf"]
+    words = ["--set", "tune.budget=2", "--seeds", "16", "--observers", "pccebo,kf"]
     done = call("run", "equal-tuning", *words, "--out", str(tmp_path / "out"))
     assert "efficiency" in done.stdout, done.stderr
     assert [w for w in ("published", "design", "tuned", "held out", "gap") if w not in done.stdout] == [], done.stdout

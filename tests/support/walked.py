@@ -22,7 +22,7 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     "all": ["--seeds", "2"],
     "model-mismatch": ["--seeds", "2"],
     "cart": ["--seeds", "2"],
-    "equal-tuning": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
+    "equal-tuning": ["--seeds", "2", "--set", "tune.budget=2"],
     "equal-tuning-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
     "measurement-errors": [
         "--seeds",
