@@ -63,17 +63,3 @@ def largest_stable(radius: Callable[[float], float], upper: float, steps: int = 
             "expected a limit between them; search another range."
         )
     return float(brentq(lambda period: radius(period) - 1, grid[over - 1], grid[over], xtol=1e-13))
-
-
-def growth_exponent(step: Callable[[float], Matrix], intervals: Matrix, seed: int) -> float:
-    """Return the mean of log |e(k+1)| / |e(k)| over random `intervals` [k]; below 0: this error converges.
-
-    `step` returns the map over an interval. The error starts at random, from `seed`. A simulation, not a proof.
-    """
-    e = np.random.default_rng(seed).standard_normal(len(step(float(intervals[0]))))
-    total = 0.0
-    for interval in intervals:
-        e = step(float(interval)) @ e
-        size = float(np.linalg.norm(e))
-        total, e = total + np.log(size), e / size
-    return total / len(intervals)

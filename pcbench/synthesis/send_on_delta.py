@@ -37,11 +37,6 @@ def expected(threshold: float, points: int = 2000) -> TriggerStats:
     return TriggerStats(float(u), float(v / u))
 
 
-def periodic_variance(period: float) -> float:
-    """Return the mean variance of the estimate with one sample every `period` seconds."""
-    return period / 2
-
-
 def simulate(threshold: float, step: float, steps: int, seed: int, shift: bool = True) -> TriggerStats:
     """Simulate `steps` steps of `step` seconds, from `seed`.
 
