@@ -73,7 +73,7 @@ def _in_a_hurry(request):
     with pytest.MonkeyPatch.context() as patch:
         if in_a_hurry_here(request):
             patch.setattr(trajectory, "jit_record", hurried.recorder)
-            patch.setattr(step_block, "jit_step_block", hurried.stretches)
+            patch.setattr(step_block, "jit_step_block", hurried.step_blocks)
             patch.setattr(runner, "OPTIONS", runner.OPTIONS | hurried.options())
             patch.setenv("XLA_FLAGS", hurried.flags())
         yield

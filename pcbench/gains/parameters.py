@@ -24,8 +24,8 @@ from pcbench.toml_text import TomlTable
 Vector = NDArray[np.float64]
 ZERO_TOL = 1e-15  # relative to a matrix's size; smaller entries are 0
 PERTURBATION, SAME = 0.1, 1e-9  # step of a parameter; relative change below which gains do not depend on it
-LEAST = 1e-12  # start of a positive number whose default is 0
-LOG_RANGE = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # range of the logarithm of a standard deviation
+MIN_POSITIVE = 1e-12  # smallest positive value, also the start of one whose default is 0
+LOG_RANGE = (np.log(MIN_POSITIVE) / 2, -np.log(MIN_POSITIVE) / 2)  # range of the logarithm of a standard deviation
 
 
 class NothingFree(UserError):
@@ -111,7 +111,7 @@ def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Fr
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
-    scale = high - low if high - low > LEAST else 1.0  # a gain of 0 has no size
+    scale = high - low if high - low > MIN_POSITIVE else 1.0  # a gain of 0 has no size
     parameter = Free(name, kind, number.shape, low, scale, first)
     return parameter, _to_unbounded(number, parameter).ravel()
 
@@ -151,7 +151,7 @@ def to_options(free: list[Free], at: Vector) -> TomlTable:
 
 def _to_bounded(z: Vector, f: Free) -> Vector:
     if f.kind == "positive":
-        return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
+        return np.asarray(np.exp(np.clip(z, np.log(MIN_POSITIVE), -np.log(MIN_POSITIVE))))
     if f.kind == "between":
         return np.asarray(f.low + f.scale / (1 + np.exp(-z)))
     if (
@@ -167,13 +167,13 @@ def _to_bounded(z: Vector, f: Free) -> Vector:
 
 def _to_unbounded(value: Vector, f: Free) -> Vector:
     if f.kind == "positive":
-        return np.asarray(np.log(np.maximum(value, LEAST)))
+        return np.asarray(np.log(np.maximum(value, MIN_POSITIVE)))
     if f.kind == "covariance":
-        L = np.linalg.cholesky(value + LEAST * np.abs(value).max() * np.eye(len(value)))
+        L = np.linalg.cholesky(value + MIN_POSITIVE * np.abs(value).max() * np.eye(len(value)))
         i, j = np.tril_indices(len(L))
         return np.where(i == j, np.log(np.diag(L))[i], (L / np.diag(L)[:, None])[i, j])
     if f.kind == "between":
-        share = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
+        share = np.clip((value - f.low) / f.scale, MIN_POSITIVE, 1 - MIN_POSITIVE)
         return np.asarray(np.log(share / (1 - share)))
     return np.asarray(value / f.scale)
 

@@ -16,7 +16,7 @@ from pcbench.study import Study, merge_options, parse, scenarios_of
 from pcbench.study.labels import entry_in
 from pcbench.toml_text import TomlTable
 
-WORSE = 2.0  # standard errors by which the tuned gains may be worse than the start
+MAX_WORSE = 2.0  # standard errors by which the tuned gains may be worse than the start
 
 
 def judge(
@@ -58,7 +58,7 @@ def rejection_reason(judgements: list[Judgement]) -> str:
         return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, {j.diverged[0]} with the start"
     if j.difference != j.difference:
         return f"{j.diverged[1]} of {j.seeds.many} validation runs diverge, as with the start"
-    if not j.difference <= WORSE * j.difference_se:
+    if not j.difference <= MAX_WORSE * j.difference_se:
         return (
             f"worse than its start on the validation runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
         )

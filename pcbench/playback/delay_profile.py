@@ -39,13 +39,13 @@ from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import power_of_2
 
 LANES = 16  # delays per call
-NUMBERS = 1 << 22  # largest product of ticks and lanes
-STEPS = 30  # largest number of steps of z for one delay
-LONGEST = 2.0  # largest step of z
-SETTLED = 0.01  # converged if the next step adds less to the log-likelihood
-PART = 0.003  # or less than this part of the distance to the best delay
+MAX_LANE_TICKS = 1 << 22  # largest product of ticks and lanes
+MAX_ITERATIONS = 30  # steps of z for one delay
+MAX_STEP = 2.0  # largest step of z
+CONVERGED = 0.01  # a search ends if the next step adds less to the log-likelihood
+CONVERGED_REL = 0.003  # or less than this share of the distance to the best delay
 HOPE, FAR = 10.0, 30.0  # a delay is abandoned if HOPE times the expected gain leaves it FAR below the best
-SHORTEST = 1e-3  # smallest damping of a step
+MIN_DAMPING = 1e-3  # smallest damping of a step
 Delays = tuple[int, ...]  # ticks by channel
 
 
@@ -69,13 +69,13 @@ class Profile:
     ) -> None:
         """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns an observer's gains and z."""
         length = max(power_of_2(a.last_tick + 1), 2)
-        if a.last_tick >= likelihood.MOST:
+        if a.last_tick >= likelihood.MAX_TICKS:
             likelihood.load_recording(a)  # raises UserError for an unsuitable recording
         self.a, self.low, self.high, self.progress = a._replace(length=length), low, high, progress
         self.batches = list(a.log.measurements())
-        self.lanes = max(min(LANES, NUMBERS // length), 1)
-        bare = (0,) * len(low)
-        log = self._log(bare)
+        self.lanes = max(min(LANES, MAX_LANE_TICKS // length), 1)
+        no_delays = (0,) * len(low)
+        log = self._log(no_delays)
         longest = max(c.intervals.most if c.intervals.many else 0.0 for c in a.survey.channels.values())
         gap = int(max(longest / a.clock.dt, high.max() - low.min())) + 2
         p = prepare_observers(self.a._replace(log=log), Room(longest_gap=gap))
@@ -109,23 +109,23 @@ class Profile:
     @property
     def best(self) -> Delays:
         """Return the most likely delays so far."""
-        return max(self.cache, key=lambda each: self.cache[each].value)
+        return max(self.cache, key=lambda delays: self.cache[delays].value)
 
     def ask(self, points: list[Delays]) -> list[float]:
         """Return l_p at some delays."""
-        new = [each for each in dict.fromkeys(points) if each not in self.cache]
+        new = [delays for delays in dict.fromkeys(points) if delays not in self.cache]
         for i in range(0, len(new), self.lanes):
             group = new[i : i + self.lanes]
             self.progress.begin("delays", len(group))
             z = self.cache[self.best].z if self.cache else self.start
-            for delays, best in zip(group, self._maximise(group, z), strict=False):
-                self.cache[delays] = best
+            for delays, fit in zip(group, self._maximise(group, z), strict=False):
+                self.cache[delays] = fit
             self.progress.step(len(group))
-        return [self.cache[each].value for each in points]
+        return [self.cache[delays].value for delays in points]
 
     def _maximise(self, points: list[Delays], start: Vector) -> list[Best]:
-        """Return the most likely z of each of some delays, by steps that are halved until the likelihood rises."""
-        windows = [self._window(each) for each in points]
+        """Return the most likely z of each of some delays, by steps that are damped until the likelihood rises."""
+        windows = [self._window(delays) for delays in points]
         windows += windows[:1] * (self.lanes - len(windows))
         stack = jax.tree.map(lambda *a: np.stack(a), *windows)
 
@@ -136,19 +136,21 @@ class Profile:
             return np.where(np.isfinite(value), value, -np.inf), score, information, nis
 
         nis = evaluate(np.tile(start, (self.lanes, 1)))[3]
-        z = np.clip(start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.BETWEEN)  # scaled by the NIS
+        # intensities multiplied by the NIS
+        z = np.clip(start + np.log(np.where(nis > 0, nis, 1.0))[:, None], *likelihood.Z_RANGE)
         value, score, B, _ = evaluate(z)  # B: curvature of -l
         damping = np.ones(self.lanes)  # of the step
-        for _ in range(STEPS):
+        for _ in range(MAX_ITERATIONS):
             eigenvalues, eigenvectors = np.linalg.eigh(B)
             along = np.einsum("lij,li->lj", eigenvectors, score)
             along /= np.maximum(eigenvalues, 1e-9 * eigenvalues[:, -1:] + 1e-300)
             # an ascent direction, also after clipping
-            step = np.einsum("lij,lj->li", eigenvectors, np.clip(along, -LONGEST, LONGEST))
-            step = np.clip(z + step, *likelihood.BETWEEN) - z
+            step = np.einsum("lij,lj->li", eigenvectors, np.clip(along, -MAX_STEP, MAX_STEP))
+            step = np.clip(z + step, *likelihood.Z_RANGE) - z
             gain = (0.5 * score * step).sum(1)
-            below = max([each.value for each in self.cache.values()] + [value.max()]) - value
-            if np.all((gain < SETTLED + PART * below) | (HOPE * gain < below - FAR) | (damping < SHORTEST)):
+            below = max([fit.value for fit in self.cache.values()] + [value.max()]) - value
+            is_converged = gain < CONVERGED + CONVERGED_REL * below
+            if np.all(is_converged | (HOPE * gain < below - FAR) | (damping < MIN_DAMPING)):
                 break
             step *= damping[:, None]
             trial = evaluate(z + step)
@@ -182,32 +184,24 @@ def _lanes(
     windows: Window,
 ) -> tuple[Array, Array, Array, Array]:
     """Return log-likelihood [L], score [L, P], information [L, P, P] and NIS [L] at z [L, P]."""
-    ((label, _),) = layout.observers
 
     def lane(z: Array, w: Window) -> tuple[Array, Array, Array, Array]:
-        ticks, ends = jnp.arange(w.event.shape[0]), jnp.zeros(2, int)
-
-        def samples(z: Array) -> tuple[Array, Array]:
-            problem = p._replace(
-                gains={label: jax.tree.unflatten(tree, likelihood.shift_leaves(real, start, slope, jnp.exp(z)))}
-            )
-            state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
-            state = state if w.variance_ratio is None else step_block.with_variances(state)
-            truth = jnp.zeros((len(ticks), 0))
-            stats = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].innovation_stats
+        def packet_stats(z: Array) -> tuple[Array, Array]:
+            gains = jax.tree.unflatten(tree, likelihood.shift_leaves(real, start, slope, jnp.exp(z)))
+            stats = likelihood.innovation_stats(layout, p, gains, w)
             stats = jnp.where((stats[..., 1:2] > 0) & ~jnp.isnan(stats), stats, 0.0).reshape(-1, stats.shape[-1])
             return stats, stats
 
-        J, stats = jax.jacfwd(samples, has_aux=True)(z)
-        nu = slice(step_block.JUDGED, step_block.JUDGED + len(p.params))
-        square, degrees, log_det, each = stats[:, 0], stats[:, 1], stats[:, 2], stats[:, nu]
-        by_number = J[:, 2] / jnp.maximum(degrees, 1.0)[:, None]  # derivative of log s by z
-        moves = (J[:, nu] + 0.5 * each[..., None] * by_number[:, None]).reshape(-1, len(z))
+        J, stats = jax.jacfwd(packet_stats, has_aux=True)(z)
+        nu = slice(step_block.N_STATS, step_block.N_STATS + len(p.params))
+        nis_sum, dof, log_det, z_by_channel = stats[:, 0], stats[:, 1], stats[:, 2], stats[:, nu]
+        dlog_s = J[:, 2] / jnp.maximum(dof, 1.0)[:, None]  # by z
+        dnu = (J[:, nu] + 0.5 * z_by_channel[..., None] * dlog_s[:, None]).reshape(-1, len(z))  # divided by sqrt(s)
         return (
-            -0.5 * (np.log(2 * np.pi) * degrees.sum() + log_det.sum() + square.sum()),
+            -0.5 * (np.log(2 * np.pi) * dof.sum() + log_det.sum() + nis_sum.sum()),
             -0.5 * (J[:, 2] + J[:, 0]).sum(0),
-            0.5 * by_number.T @ J[:, 2] + moves.T @ moves,
-            square.sum() / degrees.sum(),
+            0.5 * dlog_s.T @ J[:, 2] + dnu.T @ dnu,
+            nis_sum.sum() / dof.sum(),
         )
 
     return jax.vmap(lane)(z, windows)  # type: ignore[no-any-return]

@@ -52,18 +52,18 @@ class ChannelDelay(NamedTuple):
 
 def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
     """Return the smallest and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
-    every, dt = a.survey.channels.values(), a.clock.dt
-    most = SHARE * a.last_tick * dt
+    channels, dt = a.survey.channels.values(), a.clock.dt
+    upper = SHARE * a.last_tick * dt
     if longest is None:
-        longest = min(INTERVALS * max(c.intervals.median for c in every if c.intervals.many), most)
-    if not dt <= longest <= most:
+        longest = min(INTERVALS * max(c.intervals.median for c in channels if c.intervals.many), upper)
+    if not dt <= longest <= upper:
         raise UserError(
             f"{where}: --max-delay: got {longest:g} s, expected one tick of {dt:g} s to a quarter of the recording, "
-            f"{most:.4g} s; write a number between them."
+            f"{upper:.4g} s; write a number between them."
         )
     high = round(longest / dt)
-    least = [int(np.floor(c.delays.least / dt + 1e-6)) if c.delays.many else 0 for c in every]
-    return np.array([-min(max(each, 0), high) for each in least]), np.full(len(least), high)
+    shortest = [int(np.floor(c.delays.least / dt + 1e-6)) if c.delays.many else 0 for c in channels]
+    return np.array([-min(max(ticks, 0), high) for ticks in shortest]), np.full(len(shortest), high)
 
 
 class Slice(NamedTuple):
@@ -80,15 +80,14 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
     """Return the delay of each channel, and sentences on what the recording does not determine."""
     channels, dt = profile.a.survey.channels.values(), profile.a.clock.dt
     steps = [max(int(c.intervals.median / dt) // 2, 1) if c.intervals.many else 1 for c in channels]
-    directions = [*np.eye(len(steps), dtype=int)] + [np.ones(len(steps), int)] * (
-        len(steps) > 1
-    )  # the last direction moves all together
+    directions = [*np.eye(len(steps), dtype=int)]
+    directions += [np.ones(len(steps), int)] * (len(steps) > 1)  # moves all together
     best: Delays = (0,) * len(steps)
     for sweep in range(SWEEPS):
         for direction, step in zip(directions, [*steps, max(steps)], strict=False):
             best = _search(profile, best, direction, step, full_range=sweep == 0)
         slices = [_slice(profile, best, direction) for direction in directions[: len(steps)]]
-        peak, wider = _joint(profile, best, slices)
+        peak, widening = _joint(profile, best, slices)
         profile.ask([_inside(profile, corner) for corner in product(*zip(np.floor(peak), np.ceil(peak), strict=True))])
         if profile.best == best:
             break
@@ -96,8 +95,8 @@ def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
     if len(steps) > 1 and (nearest := _if_flat(profile, best)) is not None:
         best = nearest
         slices = [_slice(profile, best, direction) for direction in directions[: len(steps)]]
-        peak, wider = np.array([s.peak for s in slices]), np.full(len(steps), np.inf)
-    return _results(profile, best, slices, peak, wider)
+        peak, widening = np.array([s.peak for s in slices]), np.full(len(steps), np.inf)
+    return _results(profile, best, slices, peak, widening)
 
 
 def _if_flat(profile: Profile, best: Delays) -> Delays | None:
@@ -125,8 +124,8 @@ def _ask(profile: Profile, best: Delays, direction: Ints, by: Ints) -> tuple[Int
 
 def _search(profile: Profile, best: Delays, direction: Ints, step: int, full_range: bool) -> Delays:
     """Return the best point along a direction, on a grid of the range or near the best point, refined to one tick."""
-    span = int((profile.high - profile.low).max())
-    moves = np.arange(-(span // step) * step, span + 1, step) if full_range else step * np.arange(-2, 3)
+    widest = int((profile.high - profile.low).max())
+    moves = np.arange(-(widest // step) * step, widest + 1, step) if full_range else step * np.arange(-2, 3)
     while True:
         moves, values = _ask(profile, best, direction, moves)
         best = tuple((np.array(best) + moves[np.argmax(values)] * direction).tolist())
@@ -169,7 +168,7 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
     with lower likelihood have smaller weights. A channel whose maximum is at the end of its range is left out. Infinite:
     unknown.
     """
-    peak, wider = np.array([s.peak for s in slices]), np.ones(len(best))
+    peak, widening = np.array([s.peak for s in slices]), np.ones(len(best))
     N, h = profile.samples, np.zeros(len(best), int)
     for c, s in enumerate(slices):
         sides = np.array([s.peak - s.low, s.high - s.peak])
@@ -178,7 +177,7 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
             h[c] = min(max(round(float(np.nanmean(sides))), 1), room)
     inner = np.flatnonzero(h)
     if len(inner) < 2:
-        return peak, wider
+        return peak, widening
     e = np.eye(len(best), dtype=int)[inner]
     moves = [0 * e[0], *e, *-e]
     moves += [a * e[i] + b * e[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
@@ -193,24 +192,23 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
         B[i, j] += value
         B[j, i] += value
     if np.linalg.eigvalsh(B)[0] <= 0:
-        wider[inner] = np.inf
-        return peak, wider
+        widening[inner] = np.inf
+        return peak, widening
     inverse = np.linalg.inv(B)
     peak[inner] = np.array(best)[inner] - h[inner] * (inverse @ slope)
-    wider[inner] = np.sqrt(np.diag(inverse) * np.diag(B))
-    return peak, wider
+    widening[inner] = np.sqrt(np.diag(inverse) * np.diag(B))
+    return peak, widening
 
 
 def _results(
-    profile: Profile, best: Delays, slices: list[Slice], peak: Floats, wider: Floats
+    profile: Profile, best: Delays, slices: list[Slice], peak: Floats, widening: Floats
 ) -> tuple[list[ChannelDelay], list[str]]:
     """Return delays in seconds with their intervals, and sentences."""
     dt, out, remarks, rounding = profile.a.clock.dt, [], [], _rounding(profile)
     for c, (name, channel) in enumerate(profile.a.survey.channels.items()):
         s, first, last = slices[c], int(profile.low[c]), int(profile.high[c])
-        scale = wider[c] if np.isfinite(wider[c]) else 1.0
-
-        low, high = (peak[c] + wider[c] * (end - s.peak) for end in (s.low, s.high))
+        scale = widening[c] if np.isfinite(widening[c]) else 1.0
+        low, high = (peak[c] + widening[c] * (end - s.peak) for end in (s.low, s.high))
         low = max(low, first) if np.isfinite(low) else first
         high = min(high, last) if np.isfinite(high) else last
         ends = np.array([low, np.clip(peak[c], first, last), high, first, last]) * dt + rounding[c]
@@ -230,7 +228,7 @@ def _results(
         )
         out.append(channel_delay)
         remarks += _remarks(channel_delay, dt)
-    ambiguous = [each.channel for each, factor in zip(out, wider, strict=True) if factor > APART]
+    ambiguous = [delay.channel for delay, factor in zip(out, widening, strict=True) if factor > APART]
     if ambiguous:
         remarks.append(
             f"{' and '.join(ambiguous)}: the recording determines the differences of these delays, but hardly each delay; "

@@ -53,7 +53,7 @@ def held_out_start(last: int) -> int:
 class Sums(NamedTuple):
     """Innovation sums of one observer; two parts, before the held-out part and in it."""
 
-    totals: Floats = np.zeros((3, 2))  # of square, degrees, log_det
+    totals: Floats = np.zeros((3, 2))  # of nis_sum, dof, log_det
     samples: int = 0
     z_sum: float = 0.0  # sum of z
     products: Floats = np.zeros(LAGS + 1)  # sums of z_i z_(i-h), h = 0 .. LAGS
@@ -61,12 +61,12 @@ class Sums(NamedTuple):
 
 
 def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
-    """Return the sums after further samples [K, 4 or more]: square, degrees, log_det and signed of each; held_out [K]."""
+    """Return the sums after further samples [K, 4 or more]: nis_sum, dof, log_det, normalized_sum; held_out [K]."""
     tested = numbers[:, 1] > 0
     numbers, part = numbers[tested], held_out[tested].astype(int)
     z = numbers[:, 3] / np.sqrt(numbers[:, 1])
-    every, old = np.concatenate([sums.newest, z]), len(sums.newest)
-    products = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
+    every, n_old = np.concatenate([sums.newest, z]), len(sums.newest)
+    products = [every[max(n_old, h) :] @ every[max(n_old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
         totals=sums.totals + [np.bincount(part, numbers[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
@@ -103,7 +103,7 @@ def by_channel(
     for observer, (total, each) in innovations.items():
         if any(sums.samples for sums in each) or not total.samples:
             for name, n_arrived, sums in zip(channels, arrived.tolist(), each, strict=True):
-                results = judgement(sums)
+                results = results_of(sums)
                 row = {"observer": observer, "channel": name, "not_judged": n_arrived - sums.samples}
                 rows.append(row | {key: results[key] for key in keys})
     return rows
@@ -139,11 +139,11 @@ def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
     return out
 
 
-def judgement(sums: Sums) -> dict[str, float | str]:
+def results_of(sums: Sums) -> dict[str, float | str]:
     """Return the test results of the sums; NaN if there are too few samples."""
-    square, degrees, _ = sums.totals.sum(1).tolist()
-    nis = square / degrees if degrees else np.nan
-    within = band(degrees) if degrees else None
+    nis_sum, dof, _ = sums.totals.sum(1).tolist()
+    nis = nis_sum / dof if dof else np.nan
+    nis_band = band(dof) if dof else None
     T, lags, Q = sums.samples, min(LAGS, sums.samples // 5), np.nan
     if lags and sums.products[0] > 0:
         r = sums.products[1 : lags + 1] / sums.products[0]
@@ -151,9 +151,9 @@ def judgement(sums: Sums) -> dict[str, float | str]:
     return {
         "samples": sums.samples,
         "nis": nis,
-        "nis_low": within.low if within else np.nan,
-        "nis_high": within.high if within else np.nan,
-        "verdict": verdict(nis, within) if within else "unknown",
+        "nis_low": nis_band.low if nis_band else np.nan,
+        "nis_high": nis_band.high if nis_band else np.nan,
+        "verdict": verdict(nis, nis_band) if nis_band else "unknown",
         "mean": sums.z_sum / T if T else np.nan,
         "lags": lags,
         "ljung_box": Q,
@@ -165,45 +165,43 @@ def judgement(sums: Sums) -> dict[str, float | str]:
 
 def _mean(totals: Floats) -> float:
     """Return the mean log-likelihood per number."""
-    square, degrees, log_det = totals.tolist()
-    return -0.5 * (np.log(2 * np.pi) + (log_det + square) / degrees) if degrees else np.nan
+    nis_sum, dof, log_det = totals.tolist()
+    return -0.5 * (np.log(2 * np.pi) + (log_det + nis_sum) / dof) if dof else np.nan
 
 
 STEP = 1e-3  # of z; relative error of H: 1e-6
 NORMAL = 1.959963984540054  # 95 %
 INFORMATIVE = 1.0  # least information of one z alone; with less, its standard deviation is more than a factor of e
 TWO_SIDED, ONE_SIDED = 3.841458820694124, 2.705543454095404  # chi-square, one degree of freedom: 95 % and 90 %
-FAR = np.log(
-    1e6
-)  # distance below the optimum in z that counts as intensity 0; twice as far upwards counts as unlimited
+FAR = np.log(1e6)  # distance of z below the optimum that counts as intensity 0; twice as far upwards: unlimited
 NEWTON, SETTLED = 5, 1e-2  # largest number of Newton steps; largest gain of log-likelihood of the last one
 EXACT = 1e-3  # accuracy of a profile interval's end, in z
 Likelihood = Callable[[Vector], tuple[float, Vector]]  # of the recording, and its score
 
 
-def intervals(likelihood: Likelihood, at: Vector) -> tuple[Vector, Vector]:
+def intervals(likelihood: Likelihood, best: Vector) -> tuple[Vector, Vector]:
     """Return the ends [P] of the 95 % intervals of z at its most likely value; lower end -inf: one-sided; NaN: undetermined."""
     rows = []
-    for step in STEP * np.eye(len(at)):
-        rows.append((likelihood(at - step)[1] - likelihood(at + step)[1]) / (2 * STEP))
-    H = np.array(rows).reshape(len(at), len(at))
+    for step in STEP * np.eye(len(best)):
+        rows.append((likelihood(best - step)[1] - likelihood(best + step)[1]) / (2 * STEP))
+    H = np.array(rows).reshape(len(best), len(best))
     H = 0.5 * (H + H.T)  # observed information
-    informative, sd = np.diag(H) > INFORMATIVE, np.full(len(at), np.nan)
+    informative, sd = np.diag(H) > INFORMATIVE, np.full(len(best), np.nan)
     block = H[np.ix_(informative, informative)]
     if informative.any() and np.isfinite(block).all() and np.linalg.eigvalsh(block)[0] > 0:
         sd[informative] = np.sqrt(np.diag(np.linalg.inv(block)))
-    low, high = at - NORMAL * sd, at + NORMAL * sd
+    low, high = best - NORMAL * sd, best + NORMAL * sd
     for j in np.flatnonzero(~informative) if np.isfinite(sd[informative]).all() else ():
-        low[j], high[j] = profile_interval(likelihood, H, at, int(j))
+        low[j], high[j] = profile_interval(likelihood, H, best, int(j))
     return low, high
 
 
-def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> tuple[float, float]:
+def profile_interval(likelihood: Likelihood, H: Floats, best: Vector, j: int) -> tuple[float, float]:
     """Return the ends of the interval of one z by the profile likelihood."""
     from scipy.optimize import brentq
 
-    most, nuisance = likelihood(at)[0], np.flatnonzero((np.diag(H) > INFORMATIVE) & (np.arange(len(at)) != j))
-    point = at.copy()
+    peak, nuisance = likelihood(best)[0], np.flatnonzero((np.diag(H) > INFORMATIVE) & (np.arange(len(best)) != j))
+    point = best.copy()
 
     def drop(z: float) -> float:
         point[j] = z
@@ -214,16 +212,16 @@ def profile_interval(likelihood: Likelihood, H: Floats, at: Vector, j: int) -> t
             point[nuisance] += step
             if not gain > SETTLED:
                 break
-        return 2 * (most - value) - gain
+        return 2 * (peak - value) - gain
 
-    here, level = float(at[j]), ONE_SIDED
+    best_z, level = float(best[j]), ONE_SIDED
     low, step = -np.inf, 1.0
-    if drop(here - FAR) > TWO_SIDED:
+    if drop(best_z - FAR) > TWO_SIDED:
         level = TWO_SIDED
-        low = brentq(lambda z: drop(z) - level, here - FAR, here, xtol=EXACT)
-    point[:] = at
-    while not drop(here + step) > level:
+        low = brentq(lambda z: drop(z) - level, best_z - FAR, best_z, xtol=EXACT)
+    point[:] = best
+    while not drop(best_z + step) > level:
         step *= 2
         if step > 2 * FAR:
             return np.nan, np.nan
-    return low, brentq(lambda z: drop(z) - level, here, here + step, xtol=EXACT)
+    return low, brentq(lambda z: drop(z) - level, best_z, best_z + step, xtol=EXACT)

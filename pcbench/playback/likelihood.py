@@ -22,7 +22,7 @@ from jaxtyping import PyTree
 
 from pcbench.errors import UserError
 from pcbench.gains import optimizers
-from pcbench.gains.parameters import LEAST, Vector
+from pcbench.gains.parameters import MIN_POSITIVE, Vector
 from pcbench.playback import step_block, stream
 from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
 from pcbench.protocols import Leaf
@@ -32,29 +32,29 @@ from pcbench.runtime import program_cache
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.synthesis.certificate import power_of_2
 
-MOST = 1 << 22  # largest number of ticks of a recording in memory
-BETWEEN = (np.log(LEAST), -np.log(LEAST))  # limits of log intensities, as in `gains.parameters`
-AFFINE = 1e-6  # relative deviation of gains that count as affine in the intensities
+MAX_TICKS = 1 << 22  # largest number of ticks of a recording in memory
+Z_RANGE = (np.log(MIN_POSITIVE), -np.log(MIN_POSITIVE))  # limits of log intensities, as in `gains.parameters`
+AFFINE_TOL = 1e-6  # relative deviation of gains that count as affine in the intensities
 
 
 class SampleLikelihood(NamedTuple):
     """Likelihood of each sample in the order of arrival: N samples, P parameters."""
 
-    numbers: Floats  # [N, 4] square, degrees, log_det, signed
+    stats: Floats  # [N, 4] nis_sum, dof, log_det, normalized_sum
     tick: Ints  # [N] tick of arrival
     score: Floats  # [N, P]
 
     @property
-    def each(self) -> Floats:
+    def log_likelihood(self) -> Floats:
         """Return l [N]."""
-        return -0.5 * (self.numbers[:, 1] * np.log(2 * np.pi) + self.numbers[:, 2] + self.numbers[:, 0])
+        return -0.5 * (self.stats[:, 1] * np.log(2 * np.pi) + self.stats[:, 2] + self.stats[:, 0])
 
 
 def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
     """Return the observer of a recording and the recording in memory; raise UserError if it is too long or does not fit."""
-    if a.last_tick >= MOST:
+    if a.last_tick >= MAX_TICKS:
         raise UserError(
-            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MOST}; cut the log, or take a longer tick."
+            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MAX_TICKS}; cut the log, or take a longer tick."
         )
     a = a._replace(length=max(power_of_2(a.last_tick + 1), 2))
     p = prepare_observers(a, room_of(a))
@@ -71,10 +71,10 @@ class AffineGains(NamedTuple):
     slope: list[Floats]  # [P, ...] for each real leaf
 
 
-def shift_leaves(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], by: Leaf) -> list[Leaf]:
-    """Return leaves, with by_j slope_j added to the real ones."""
+def shift_leaves(real: tuple[bool, ...], start: Sequence[Leaf], slope: Sequence[Leaf], v: Leaf) -> list[Leaf]:
+    """Return leaves, with amounts_j slope_j added to the real ones."""
     slopes = iter(slope)
-    return [a + jnp.tensordot(by, next(slopes), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
+    return [a + jnp.tensordot(v, next(slopes), 1) if is_real else a for a, is_real in zip(start, real, strict=True)]
 
 
 def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains | None:
@@ -85,16 +85,16 @@ def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains |
     def at(point: Vector) -> list[Floats]:
         return [np.asarray(a) for a in optimizers.numbers(design(point))]
 
-    v, here = np.exp(z), at(z)
+    v, gains = np.exp(z), at(z)
     gains_at_double = [at(z + np.log(2.0) * row) for row in np.eye(len(z))]
-    slope = [np.stack([b[i] - a for b in gains_at_double]) / v.reshape(-1, *[1] * a.ndim) for i, a in enumerate(here)]
-    start = [a - np.tensordot(v, s, 1) for a, s in zip(here, slope, strict=True)]
+    slope = [np.stack([b[i] - a for b in gains_at_double]) / v.reshape(-1, *[1] * a.ndim) for i, a in enumerate(gains)]
+    start = [a - np.tensordot(v, s, 1) for a, s in zip(gains, slope, strict=True)]
     probe = z + np.linspace(-1.0, 1.5, len(z))
     for a, b, s in zip(at(probe), start, slope, strict=True):
-        if np.abs(b + np.tensordot(np.exp(probe), s, 1) - a).max(initial=0.0) > AFFINE * np.abs(a).max(initial=0.0):
+        if np.abs(b + np.tensordot(np.exp(probe), s, 1) - a).max(initial=0.0) > AFFINE_TOL * np.abs(a).max(initial=0.0):
             return None
-    each = iter(start)
-    return AffineGains(tree, real, [next(each) if r else a for a, r in zip(leaves, real, strict=True)], slope)
+    real_starts = iter(start)
+    return AffineGains(tree, real, [next(real_starts) if r else a for a, r in zip(leaves, real, strict=True)], slope)
 
 
 Evaluator = Callable[[Vector], SampleLikelihood]
@@ -103,7 +103,7 @@ Evaluator = Callable[[Vector], SampleLikelihood]
 def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]) -> Evaluator:
     """Return a function that computes the likelihood of each sample at given parameters; errors as of `design`."""
     inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
-    bare = p.problem._replace(inputs=inputs, gains={})
+    problem = p.problem._replace(inputs=inputs, gains={})
     affine: list[AffineGains | None] = []
 
     def at(point: Vector) -> SampleLikelihood:
@@ -112,46 +112,52 @@ def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], Py
         if affine[0] is None:
             leaves, tree = jax.tree.flatten(design(point))
             real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
-            along = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
+            directions = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
         else:
             tree, real, start, slope = affine[0]
-            v = np.exp(np.clip(point, *BETWEEN))
+            v = np.exp(np.clip(point, *Z_RANGE))
             leaves = shift_leaves(real, start, slope, v)
             v = np.where(v == np.exp(point), v, 0.0)  # clipped intensities have derivative 0
-            along = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
-        numbers, slopes = map(np.asarray, jit_likelihood()(p.layout, tree, real, leaves, along, bare, part.window))
-        tested = numbers[..., 1] > 0
-        return SampleLikelihood(numbers[tested], part.first + np.nonzero(tested)[0], slopes[tested])
+            directions = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
+        out = jit_likelihood()(p.layout, tree, real, leaves, directions, problem, part.window)
+        stats, scores = map(np.asarray, out)
+        tested = stats[..., 1] > 0
+        return SampleLikelihood(stats[tested], part.first + np.nonzero(tested)[0], scores[tested])
 
     return at
 
 
-def _run(
+def _stats_and_scores(
     layout: Layout,
     tree: jax.tree_util.PyTreeDef,
     real: tuple[bool, ...],
     leaves: list[Array],
-    along: list[Array],
+    directions: list[Array],
     p: GridPointParams,
     w: Window,
 ) -> tuple[Array, Array]:
-    """Return the innovation numbers of each slot [K, S, 4] and its score [K, S, P]; `along` is [P, ...] for each real leaf."""
-    ((label, _),) = layout.observers
-    ticks, ends = jnp.arange(w.event.shape[0]), jnp.zeros(2, int)
-    truth = jnp.zeros((len(ticks), 0))
+    """Return the statistics of each packet [K, S, 4 + 2 q] and its score [K, S, P]; `directions` [P, ...] by real leaf."""
 
-    def numbers(by: Array) -> tuple[Array, Array]:
-        problem = p._replace(gains={label: jax.tree.unflatten(tree, shift_leaves(real, leaves, along, by))})
-        state, score = step_block.init_run(layout, problem, False, jnp.asarray(0))
-        state = state if w.variance_ratio is None else step_block.with_variances(state)
-        stats = step_block.run(layout, problem, state, score, ticks, w, truth, ends)[2].innovation_stats
+    def log_likelihoods(v: Array) -> tuple[Array, Array]:
+        gains = jax.tree.unflatten(tree, shift_leaves(real, leaves, directions, v))
+        stats = innovation_stats(layout, p, gains, w)
         return -0.5 * (stats[..., 2] + stats[..., 0]), stats
 
-    slopes, stats = jax.jacfwd(numbers, has_aux=True)(jnp.zeros(along[0].shape[0]))
-    return stats, slopes
+    scores, stats = jax.jacfwd(log_likelihoods, has_aux=True)(jnp.zeros(directions[0].shape[0]))
+    return stats, scores
+
+
+def innovation_stats(layout: Layout, p: GridPointParams, gains: PyTree, w: Window) -> Array:
+    """Return the innovation statistics of each packet in a window, from tick 0 on, as in `step_block.TickOutputs`."""
+    ((label, _),) = layout.observers
+    problem, ticks = p._replace(gains={label: gains}), jnp.arange(w.event.shape[0])
+    run, _ = step_block.init_run(layout, problem, False, jnp.asarray(0))
+    run = run if w.variance_ratio is None else step_block.with_variances(run)
+    truth, ends = jnp.zeros((len(ticks), 0)), jnp.zeros(2, int)
+    return step_block.run_block(layout, problem, run, None, ticks, w, truth, ends)[2].innovation_stats
 
 
 @cache
 def jit_likelihood() -> Callable[..., tuple[Array, Array]]:
-    """Return `_run` compiled, once for each shape in a process."""
-    return program_cache.jit_with_limit(_run, (0, 1, 2))
+    """Return `_stats_and_scores` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(_stats_and_scores, (0, 1, 2))

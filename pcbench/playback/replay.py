@@ -33,7 +33,7 @@ class ReplayResult(NamedTuple):
     innovations: pd.DataFrame  # one row per observer that reports innovations
     distances: (
         pd.DataFrame
-    )  # rms of estimate minus smoothed after the transient, by observer and signal; empty: no smoother
+    )  # rms of estimate minus smoothed after the transient, a row per observer and signal; or empty
     metrics: pd.DataFrame  # by observer and signal, as in a study; empty: no truth
     estimates: pd.DataFrame | None  # every tick; None if they are in a folder
     summary: dict[str, Any]  # recording, tick, rounding of times, and sentences
@@ -47,9 +47,7 @@ class Passage(NamedTuple):
     n_arrived: Ints  # [q] samples
     scores: dict[str, Score]  # against truth, by observer; empty: unknown
     smoothed_states: Floats | None  # [ticks, n]
-    delays: dict[
-        str, Floats
-    ]  # [2] estimated delay and its standard deviation [s] at the end, by observer that estimates it
+    delays: dict[str, Floats]  # [2] final delay and its standard deviation [s], by observer that estimates it
 
 
 def replay(
@@ -89,10 +87,10 @@ def replay(
     with config.float64(), ending.temporary_folder() as spare:
         grid = all_observers.grid_of(plant, {"observers": names}, overrides or [])
 
-        def one(folder: str | Path, cell: Cell | None) -> ReplayResult:
+        def replay_cell(folder: str | Path, cell: Cell | None) -> ReplayResult:
             a = open_playback(log, plant, names, delay=delay, start=start, overrides=overrides, cell=cell)
             a.remarks.extend(all_observers.sentences(grid.study.excluded if cell else None))
-            a.remarks.extend(stamps_that_go_back(a.survey))
+            a.remarks.extend(describe_out_of_sequence(a.survey))
             room = room_of(a)
             if parse.ALL in names:
                 a = _without_unsupported(a, room, names)
@@ -102,25 +100,25 @@ def replay(
 
         axes = [name for name, values in grid.study.axes.items() if len(values) > 1]
         if len(grid.cells) == 1 or len(grid.study.scenarios) > 1:
-            return one(spare if out is None else out, grid.cells[0] if len(grid.cells) == 1 else None)
-        each = [(cell.values, one(spare, cell)) for cell in grid.cells]
-        return _likelihoods(axes, each, None if out is None else Path(out))
+            return replay_cell(spare if out is None else out, grid.cells[0] if len(grid.cells) == 1 else None)
+        results = [(cell.values, replay_cell(spare, cell)) for cell in grid.cells]
+        return _likelihoods(axes, results, None if out is None else Path(out))
 
 
-def _likelihoods(axes: list[str], each: list[tuple[TomlTable, ReplayResult]], out: Path | None) -> ReplayResult:
+def _likelihoods(axes: list[str], results: list[tuple[TomlTable, ReplayResult]], out: Path | None) -> ReplayResult:
     """Return the innovation tests at each value of some axes, without estimates; also as a file in a folder."""
 
     def join(frames: list[pd.DataFrame]) -> pd.DataFrame:
-        for (values, _), frame in zip(each, frames, strict=True):
+        for (values, _), frame in zip(results, frames, strict=True):
             for i, name in enumerate(axes):
                 frame.insert(i, name, values[name])
         return pd.concat(frames, ignore_index=True)
 
-    innovations, channels = join([r.innovations for _, r in each]), join([r.channels for _, r in each])
-    first = each[0][1].summary
+    innovations, channels = join([r.innovations for _, r in results]), join([r.channels for _, r in results])
+    first = results[0][1].summary
     summary = {name: first[name] for name in ("log", "plant", "rows", "dt")} | {
         "axes": axes,
-        "said": list(dict.fromkeys(sentence for _, r in each for sentence in r.summary["said"])),
+        "said": list(dict.fromkeys(sentence for _, r in results for sentence in r.summary["said"])),
         "innovations": innovations.to_dict("records"),
         "channels": channels.to_dict("records"),
     }
@@ -146,7 +144,7 @@ def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
     return a._replace(cell=a.cell._replace(options=options))
 
 
-def stamps_that_go_back(survey: Survey) -> list[str]:
+def describe_out_of_sequence(survey: Survey) -> list[str]:
     """Return a sentence for each channel with out-of-sequence timestamps."""
     return [
         f"row {c.out_of_order.first_mark} of channel {name} is out-of-sequence, the first of {c.out_of_order.many}: "
@@ -167,7 +165,7 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
     model = smoother.model_of(p.context, p.problem.xhat0)
     has_memory = model is not None and smoother.fits(model, a.last_tick + 1)
     y, u = (np.full((a.last_tick + 1 if has_memory else 0, k), np.nan) for k in (q, p.m))
-    ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
+    variance_ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
     largest, largest_y = np.zeros(len(score_signals)), np.zeros(q)  # largest truth by signal, and largest measurement
     progress.begin("ticks", a.last_tick + 1)
     ends = np.array([a.cell.times.tail, a.last_tick])
@@ -180,14 +178,14 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
         )
         true = {pair: x for pair, x in zip(signals, part.truth[:n_ticks].T, strict=False) if pair[0] in truth_signals}
         delays = {label: np.asarray(o.delay)[:n_ticks, 0] for label, o in outputs.items() if o.delay.shape[1]}
-        draft.write(replay_metrics.table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, a.clock))
+        draft.write(replay_metrics.estimates_table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, a.clock))
         progress.step(n_ticks)
-        numbers = {label: np.asarray(outputs[label].innovation_stats) for label in innovations}
-        by_channel = {label: each[..., step_block.JUDGED :] for label, each in numbers.items()}
+        stats = {label: np.asarray(outputs[label].innovation_stats) for label in innovations}
+        by_channel = {label: each[..., step_block.N_STATS :] for label, each in stats.items()}
         table = replay_metrics.innovation_table(w, part.first, by_channel, a.log.channels, a.clock)
         draft.write(table, replay_metrics.INNOVATIONS)
-        for label, each in numbers.items():
-            rows = each[..., : step_block.JUDGED + q].reshape(-1, step_block.JUDGED + q)
+        for label, each in stats.items():
+            rows = each[..., : step_block.N_STATS + q].reshape(-1, step_block.N_STATS + q)
             innovations[label] = innovations[label].add(rows, np.repeat(ticks >= held_out_start, p.slots))
         truth = np.abs(part.truth[:n_ticks])
         largest = np.fmax(largest, truth.max(0, initial=0.0, where=~np.isnan(truth)))
@@ -198,13 +196,13 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
             k, slot, channel = np.nonzero(w.mask)
             y[w.sampling_ticks[k, slot], channel] = w.value[k, slot, channel]
             if w.variance_ratio is not None:
-                ratio[w.sampling_ticks[k, slot], channel] = w.variance_ratio[k, slot, channel]
+                variance_ratio[w.sampling_ticks[k, slot], channel] = w.variance_ratio[k, slot, channel]
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
     band, noise = np.asarray(p.problem.band)[: len(score_signals)], np.sqrt(np.asarray(p.context.noise_variance))
     a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
     smoothed_states = None
     if model is not None and has_memory:
-        smoothed_states = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * ratio), u, y))
+        smoothed_states = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * variance_ratio), u, y))
         draft.write(replay_metrics.smoothed_table(smoothed_states, signals, a.clock), replay_metrics.SMOOTHED)
     draft.close()
     return Passage(innovations, arrived, scores, smoothed_states, _delays(runners, ticks[-1] + 1))
@@ -235,7 +233,7 @@ def _results(
     """Return the tables of a replay."""
     signals, dt = signals_of(a.cell.scenario), a.clock.dt
     innovations = pd.DataFrame(
-        [{"observer": label, **innovation_tests.judgement(each.total)} for label, each in passage.innovations.items()]
+        [{"observer": label, **innovation_tests.results_of(each.total)} for label, each in passage.innovations.items()]
     )
     channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.n_arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
@@ -252,12 +250,12 @@ def _results(
         )
     metrics = replay_metrics.metrics_table(passage.scores, signals, dt, a.cell.times.tail)
     times = a.survey.grid + (a.survey.start - a.clock.start)
-    off = rounding(times, dt)
-    better = better_dt(times, dt, min(c.intervals.median for c in a.survey.channels.values()))
-    if better is not None:
+    error = rounding(times, dt)
+    shorter_dt = better_dt(times, dt, min(c.intervals.median for c in a.survey.channels.values()))
+    if shorter_dt is not None:
         a.remarks.append(
-            f"times are rounded by up to {off:.3g} s, because a tick is {dt:g} s; with a tick of {better:g} s the error is "
-            "much smaller."
+            f"times are rounded by up to {error:.3g} s, because a tick is {dt:g} s; with a tick of {shorter_dt:g} s the error "
+            "is much smaller."
         )
     summary = {
         "log": a.name,
@@ -269,8 +267,8 @@ def _results(
         "steady_start": a.cell.times.tail * dt,
         "held_out_from": innovation_tests.held_out_start(a.last_tick) * dt,
         "outputs": _outputs(a),
-        "largest_rounding": off,
-        "better_dt": better,
+        "largest_rounding": error,
+        "better_dt": shorter_dt,
         "certificates": {label: c.status for label, c in p.certificates.items()},
         "said": a.remarks,
         "innovations": innovations.to_dict("records"),

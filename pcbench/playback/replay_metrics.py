@@ -36,7 +36,7 @@ DELAY = "delay"
 TIME = ("t", "s", "time since the start of the log")
 
 
-def table(
+def estimates_table(
     ticks: Ints,
     estimates: dict[str, Floats],
     sigmas: dict[str, Floats],
@@ -53,15 +53,15 @@ def table(
     """
     fields = [(*TIME, ticks * clock.dt)]
     fields += [(signal, unit, "true state", x) for (signal, unit), x in truth.items()]
-    for observer, each in estimates.items():
-        for (signal, unit), column in zip(signals, each.T, strict=False):
+    for observer, estimate in estimates.items():
+        for (signal, unit), column in zip(signals, estimate.T, strict=False):
             fields.append((f"{observer}.{signal}", unit, "estimate, after the jump of the tick", column))
         for (signal, unit), column in zip(signals, sigmas[observer].T, strict=False):
             fields.append((f"{observer}.{signal}.sigma", unit, "assumed standard deviation of its error", column))
     for observer, column in delays.items():
         if DELAY not in dict(signals):
             fields.append((f"{observer}.{DELAY}", "s", "estimated mean delay of the first channel", column))
-    return with_units(fields, clock)
+    return _table_of(fields, clock)
 
 
 def smoothed_table(smoothed_states: Floats, signals: Signals, clock: Clock) -> pa.Table:
@@ -70,7 +70,7 @@ def smoothed_table(smoothed_states: Floats, signals: Signals, clock: Clock) -> p
     fields += [
         (signal, unit, "smoothed state", x) for (signal, unit), x in zip(signals, smoothed_states.T, strict=False)
     ]
-    return with_units(fields, clock)
+    return _table_of(fields, clock)
 
 
 def innovation_table(
@@ -93,15 +93,15 @@ def innovation_table(
         fields.append((f"{observer}.innovation", "", meaning, numbers[k, slot, channel] * sigma))
         fields.append((f"{observer}.innovation.sigma", "", "assumed standard deviation of the innovation", sigma))
     names = pa.DictionaryArray.from_arrays(pa.array(channel.astype(np.int32)), pa.array(channels, pa.string()))
-    return with_units(fields, clock).add_column(0, "channel", names)
+    return _table_of(fields, clock).add_column(0, "channel", names)
 
 
-def with_units(fields: list[tuple[str, str, str, Any]], clock: Clock) -> pa.Table:
-    """Return columns (name, unit, meaning, numbers [K]) as a table that stores what they are."""
-    about = {"pcbench.schema": SCHEMA, "start": repr(clock.start), "dt": repr(clock.dt)}
+def _table_of(fields: list[tuple[str, str, str, Any]], clock: Clock) -> pa.Table:
+    """Return columns (name, unit, meaning, numbers [K]) as a table that stores units and meanings."""
+    metadata = {"pcbench.schema": SCHEMA, "start": repr(clock.start), "dt": repr(clock.dt)}
     schema = [pa.field(n, pa.float64(), metadata={"unit": unit, "meaning": meaning}) for n, unit, meaning, _ in fields]
     arrays = [pa.array(np.ascontiguousarray(column)) for *_, column in fields]
-    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=about))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=metadata))
 
 
 class Draft:
@@ -143,13 +143,13 @@ class Draft:
 @contextmanager
 def draft(folder: Path) -> Iterator[Draft]:
     """Yield a replay's files under temporary names. `Draft.finish` renames them; an interrupted replay leaves none."""
-    out, new = Draft(folder), not folder.exists()
+    files, is_new = Draft(folder), not folder.exists()
 
     def clear() -> None:
         for name in (*TABLES, SUMMARY):
             with suppress(OSError):
-                out.part(name).unlink(missing_ok=True)
-        if new:
+                files.part(name).unlink(missing_ok=True)
+        if is_new:
             with suppress(OSError):  # not empty: it contains finished files
                 folder.rmdir()
 
@@ -157,9 +157,9 @@ def draft(folder: Path) -> Iterator[Draft]:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             with ending.clean_on_exit(clear):
-                yield out
+                yield files
         finally:
-            out.close()
+            files.close()
     except OSError as error:
         raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
     finally:
@@ -199,17 +199,17 @@ def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: i
     rows = []
     for label, score in scores.items():
         s = jax.tree.map(np.asarray, score)
-        early, total = s.counts[0][:, None], s.counts.sum(0)[:, None]
-        streams = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
-        watch = jax.tree.map(lambda a: a[..., None], s.watch)
+        n_before, n_total = s.counts[0][:, None], s.counts.sum(0)[:, None]
+        error_sums = jax.tree.map(lambda *windows: np.stack(windows)[..., None], s.before, s.tail)
+        settling = jax.tree.map(lambda a: a[..., None], s.watch)
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 in a tail without truth
-            values = metrics.finalize(streams, watch, s.final[:, None], total, early, dt)
+            values = metrics.finalize(error_sums, settling, s.final[:, None], n_total, n_before, dt)
         values["unsettled"] = np.asarray(s.watch.settling_tick > tail)[:, None]
-        for metric, each in values.items():
-            of_run = each.ndim == 1
-            every = zip(signals, each[:, None] if of_run else each, total.max(0) if of_run else total, strict=False)
-            for (signal, unit), value, many in every:
-                if many:
+        for metric, numbers in values.items():
+            is_per_run = numbers.ndim == 1
+            rows_of_numbers, counts = (numbers[:, None], n_total.max(0)) if is_per_run else (numbers, n_total)
+            for (signal, unit), value, n_ticks in zip(signals, rows_of_numbers, counts, strict=False):
+                if n_ticks:
                     unit = "1" if metric in ("unsettled", "diverged") else unit_of(metric, unit)
                     rows.append((label, signal, unit, metric, float(value[0])))
     return pd.DataFrame(rows, columns=["observer", "signal", "unit", "metric", "value"])
@@ -246,6 +246,6 @@ def distances(
                 e = table.column(f"{o}.{signal}").to_numpy() - states[signal, unit][first : first + len(table)]
                 e = e[max(steady - first, 0) :]
                 sums[o, signal, unit] += float(e @ e)
-        many = len(smoothed_states) - steady
-        rows = [(*key, np.sqrt(square / many) if many > 0 else np.nan) for key, square in sums.items()]
+        n_ticks = len(smoothed_states) - steady
+        rows = [(*key, np.sqrt(squares / n_ticks) if n_ticks > 0 else np.nan) for key, squares in sums.items()]
     return pd.DataFrame(rows, columns=["observer", "signal", "unit", "rms"])

@@ -29,10 +29,8 @@ from pcbench.study.grid import Cell
 from pcbench.study.load import StudyLike
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
-LENGTH = 1 << 16  # ticks of a part
-HORIZONS = (
-    10  # largest number of durations of the plant file per row of a recording; a longer one mixes clocks or units
-)
+LENGTH = 1 << 16  # ticks of a part, at most
+HORIZONS = 10  # largest number of durations of the plant file per row; a longer recording mixes clocks or units
 
 
 class Playback(NamedTuple):
@@ -43,7 +41,7 @@ class Playback(NamedTuple):
     survey: Survey
     cell: Cell
     clock: Clock
-    last_tick: int  # last tick
+    last_tick: int  # of the recording; the first is 0
     remarks: list[str]  # sentences
     length: int  # ticks of a part
 
@@ -101,22 +99,22 @@ def open_playback(
     tables = list(stats.tables.values())
     clock = Clock(min([stats.start, *(t.least for t in tables)]) if start is None else start, s.dt)
     end = max([stats.end, *(t.most for t in tables)])
-    last = int(clock.ticks(np.array([end]))[0])
-    if last < 1 and start is None:
+    last_tick = int(clock.ticks(np.array([end]))[0])
+    if last_tick < 1 and start is None:
         raise UserError(
             f"{recording.name}: got samples at {clock.start:.10g} s alone, expected two times at least; see whether "
             "rows are missing."
         )
-    if last < 1:
+    if last_tick < 1:
         raise UserError(
             f"{recording.name}: got nothing after {clock.start:g} s, expected samples there; give an earlier --start."
         )
     rows = stats.rows + sum(t.many for t in tables)
-    if last > HORIZONS * cell.times.ticks * rows:
+    if last_tick > HORIZONS * cell.times.ticks * rows:
         raise UserError(
-            f"{recording.name}: {rows:,} rows cover {last:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to {end:.10g} s, "
-            f"more than {HORIZONS} durations of {s.duration:g} s per row; check the unit of the times (time_unit) and "
-            "--start, or write a longer duration."
+            f"{recording.name}: {rows:,} rows cover {last_tick:,} ticks of {s.dt:g} s, from {clock.start:.10g} s to "
+            f"{end:.10g} s, more than {HORIZONS} durations of {s.duration:g} s per row; check the unit of the times "
+            "(time_unit) and --start, or write a longer duration."
         )
     if recording.inputs is None:
         remarks.append(f"{recording.name} has no inputs: they are taken to be 0.")
@@ -125,9 +123,9 @@ def open_playback(
     remarks.extend(held_values(stats))
     if with_std := stats.with_std():
         remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {recording.name} states for it.")
-    length = min(LENGTH, max(power_of_2(last + 1), 2))
+    length = min(LENGTH, max(power_of_2(last_tick + 1), 2))
     name = Path(log).name if isinstance(log, str | Path) else recording.name
-    return Playback(name, recording, stats, cell, clock, last_tick=last, remarks=remarks, length=length)
+    return Playback(name, recording, stats, cell, clock, last_tick=last_tick, remarks=remarks, length=length)
 
 
 def room_of(a: Playback) -> Room:
@@ -164,7 +162,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         oosm_lag=max(context.oosm_lag, room.oosm_lag),
         flight=max(context.flight, room.flight),
         latest=max(context.latest, room.latest),
-        reach=max(context.reach, *(-(-room.latest // max(each, 1)) for each in context.period)),
+        reach=max(context.reach, *(-(-room.latest // max(period, 1)) for period in context.period)),
     )
     for label in cell.options:
         if cell.entry(label).observer.uses_silence and any(s.sampling.send_threshold):
@@ -174,20 +172,20 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
             )
     designs = {o: planning.run_design(o, cell.entry(o), context, options) for o, options in cell.options.items()}
     if with_std := a.survey.with_std():
-        for label, each in designs.items():
+        for label, design in designs.items():
             if not cell.entry(label).measurement_noise:
-                able = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
+                supported = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
                 raise UserError(
                     f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
-                    f"that uses it: {able}; take one of these, or leave std and variance out of the recording."
+                    f"that uses it: {supported}; take one of these, or leave std and variance out of the recording."
                 )
-            if getattr(each.gains, "mix", None) is not None:
+            if getattr(design.gains, "mix", None) is not None:
                 raise UserError(
                     f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
                     "be correlated between outputs, expected one of them; leave one out."
                 )
     back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.oosm_lag + 2) * max(room.longest_gap, 1)))
-    around = cell.choices.random_initial_state and s.belief.initial_box
+    starts_at_truth = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),
         gains={o: d.gains for o, d in designs.items()},
@@ -195,7 +193,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         inputs=InputWindow(np.zeros((back + 1, m)), np.asarray(-back)),
         dt=np.asarray(s.dt),
         x0=np.zeros(signals),
-        xhat0=np.array(s.truth.x0 if around else s.belief.xhat0),
+        xhat0=np.array(s.truth.x0 if starts_at_truth else s.belief.xhat0),
         spread0=np.diag(s.belief.prior_std),
         noise_std=np.array(s.sampling.noise_std),
         band=np.array(s.scoring.settle_band),

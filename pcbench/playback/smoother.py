@@ -25,7 +25,7 @@ from pcbench.protocols import Leaf
 from pcbench.runtime import memory, program_cache
 from pcbench.synthesis.certificate import DesignContext
 
-MOST = 1 << 26  # largest number of stored numbers for a recording
+MAX_NUMBERS = 1 << 26  # most numbers that are stored for a recording
 COPIES = 1.5  # copies of them in memory at one time, including other arrays
 
 
@@ -69,7 +69,7 @@ def fits(model: Linear, ticks: int) -> bool:
     """
     q, n = model.C.shape
     numbers = ticks * (2 * n + n * n + q * (n + 3) + model.Gamma.shape[1])
-    return numbers <= MOST and COPIES * 8 * numbers <= memory.free()
+    return numbers <= MAX_NUMBERS and COPIES * 8 * numbers <= memory.free()
 
 
 def forward(model: Linear, u: Array, y: Array) -> Forward:

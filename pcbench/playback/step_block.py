@@ -22,7 +22,7 @@ from pcbench.simulation.metrics import ErrorSums, SettlingState
 from pcbench.simulation.simulate_runs import Run, select
 from pcbench.simulation.types import GridPointParams, Layout, present
 
-JUDGED = 4  # numbers of an InnovationStats; two per channel follow: nu / sigma of all, then sigma of all
+N_STATS = 4  # numbers of an InnovationStats; two per channel follow: nu / sigma of all, then sigma of all
 
 
 class Score(NamedTuple):
@@ -40,7 +40,7 @@ class TickOutputs(NamedTuple):
 
     estimate: Array  # [K, n]
     sigma: Array  # [K, n] assumed standard deviations of the errors; [K, 0]: none, or not requested
-    innovation_stats: Array  # [K, S, JUDGED + 2 q] innovation statistics of packets; [K, S, 0]: not reported
+    innovation_stats: Array  # [K, S, N_STATS + 2 q] innovation statistics of packets; [K, S, 0]: not reported
     delay: Array  # [K, 1] s, estimated; [K, 0]: not estimated
 
 
@@ -72,7 +72,7 @@ def with_variances(run: Run) -> Run:
     return jax.tree.map(with_room, run, is_leaf=lambda node: isinstance(node, Measurement))
 
 
-def run(
+def run_block(
     layout: Layout,
     p: GridPointParams,
     start: Run,
@@ -84,18 +84,19 @@ def run(
 ) -> tuple[Run, Score | None, TickOutputs]:
     """Run the observer over `ticks` [K]; `ends` are the first tick of the tail, and the last tick, which is not scored."""
     ((label, o),) = layout.observers
-    quiet = jnp.zeros((w.arrive.shape[1], JUDGED + 2 * len(p.params) if o.innovation else 0))
+    no_stats = jnp.zeros((w.arrive.shape[1], N_STATS + 2 * len(p.params) if o.innovation else 0))
 
     def step(
         carry: tuple[Run, Score | None], row: tuple[Array, Window, Array]
     ) -> tuple[tuple[Run, Score | None], TickOutputs]:
         (run, score), (k, w, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
-        run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
+        apply = partial(apply_events, layout, p, w, k, no_stats)
+        run, stats = lax.cond(w.event, apply, lambda run: (run, no_stats), run)
         memory = run.memories[label]
         delay = o.delay(p.gains[label], memory, present(p, k, False))[:1] if o.delay else jnp.zeros(0)
         sigma = trajectory.sigma(layout, p, k, run).get(label, jnp.zeros(0))
-        outputs = TickOutputs(o.estimate(p.gains[label], memory), sigma, surprise, delay)
+        outputs = TickOutputs(o.estimate(p.gains[label], memory), sigma, stats, delay)
         if score is not None:
             e = simulate_runs.errors(layout, p, p.params, k, run)[label]
             score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
@@ -105,20 +106,22 @@ def run(
     return run, score, block_outputs
 
 
-def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array, run: Run) -> tuple[Run, Array]:
+def apply_events(
+    layout: Layout, p: GridPointParams, w: Window, k: Array, no_stats: Array, run: Run
+) -> tuple[Run, Array]:
     """Apply the events of tick k: snapshots of samples, then arrivals, the oldest packet first."""
     ((label, o),) = layout.observers
     place, has_sample, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
     snapshots = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
-    notes = jax.tree.map(
+    stored = jax.tree.map(
         lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.snapshots, snapshots
     )
     memories = select(has_sample, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
-    run = run._replace(memories=memories, flight=run.flight._replace(snapshots=notes))
+    run = run._replace(memories=memories, flight=run.flight._replace(snapshots=stored))
 
-    def deliver(slot: Array, so_far: tuple[Run, Array]) -> tuple[Run, Array]:
-        def jump(so_far: tuple[Run, Array]) -> tuple[Run, Array]:
-            run, surprises = so_far
+    def deliver(slot: Array, carry: tuple[Run, Array]) -> tuple[Run, Array]:
+        def jump(carry: tuple[Run, Array]) -> tuple[Run, Array]:
+            run, packet_stats = carry
             packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.snapshots)
             age, since = jnp.full(w.mask[slot].shape, k - w.sampling_ticks[slot]), w.ticks_since_arrival[slot]
             ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
@@ -135,14 +138,14 @@ def events(layout: Layout, p: GridPointParams, w: Window, k: Array, quiet: Array
                 stats = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(packet[label]))
                 unknown = jnp.full(w.mask[slot].shape, jnp.nan)
                 by_channel = [unknown if numbers is None else numbers for numbers in (stats.each, stats.sigma)]
-                total = [jnp.asarray(jnp.nan if number is None else number) for number in stats[:JUDGED]]
-                surprises = surprises.at[slot].set(jnp.concatenate([jnp.stack(total), *by_channel]))
-            return run._replace(memories=simulate_runs.jump(layout, p, k, run, packet, arrival)), surprises
+                total = [jnp.asarray(jnp.nan if number is None else number) for number in stats[:N_STATS]]
+                packet_stats = packet_stats.at[slot].set(jnp.concatenate([jnp.stack(total), *by_channel]))
+            return run._replace(memories=simulate_runs.jump(layout, p, k, run, packet, arrival)), packet_stats
 
-        return lax.cond(w.arrive[slot] >= 0, jump, lambda so_far: so_far, so_far)
+        return lax.cond(w.arrive[slot] >= 0, jump, lambda carry: carry, carry)
 
-    out: tuple[Run, Array] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, quiet))
-    return out
+    result: tuple[Run, Array] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, no_stats))
+    return result
 
 
 def _update_score(p: GridPointParams, score: Score, k: Array, has_truth: Array, e: Array, ends: Array) -> Score:
@@ -174,5 +177,5 @@ def jit_delay() -> Callable[..., Array]:
 def jit_step_block() -> tuple[
     Callable[..., tuple[Run, Score | None]], Callable[..., tuple[Run, Score | None, TickOutputs]]
 ]:
-    """Return `init_run` and `run` compiled, once for each shape in a process."""
-    return program_cache.jit_with_limit(init_run, (0, 2)), program_cache.jit_with_limit(run, 0)
+    """Return `init_run` and `run_block` compiled, once for each shape in a process."""
+    return program_cache.jit_with_limit(init_run, (0, 2)), program_cache.jit_with_limit(run_block, 0)

@@ -108,7 +108,7 @@ def through(
 ) -> Iterator[tuple[Part, dict[str, TickOutputs]]]:
     """Run observers through a recording; yield each part with their outputs while the next one is computed.
 
-    `runners` are updated in place. `back` is as in `PlaybackSetup`, `ends` as in `step_block.run`.
+    `runners` are updated in place. `back` is as in `PlaybackSetup`, `ends` as in `step_block.run_block`.
     """
 
     def advance(o: Runner, part: Part) -> tuple[Runner, TickOutputs]:
@@ -119,13 +119,13 @@ def through(
         )
         return o._replace(state=state, score=score), jax.block_until_ready(outputs)
 
-    before: Part | None = None
+    previous: Part | None = None
     work: list[Future[tuple[Runner, TickOutputs]]] = []
     with thread_pools.pool(min(len(runners), runner.cores())) as threads:
         for part in chain(parts, [None]):
-            results = [each.result() for each in work]
+            results = [future.result() for future in work]
             runners[:] = [o for o, _ in results] or runners
             work = [threads.submit(runner.in_float64, advance, o, part) for o in runners if part]
-            if before:
-                yield before, {o.label: outputs for o, outputs in results}
-            before = part
+            if previous:
+                yield previous, {o.label: outputs for o, outputs in results}
+            previous = part

@@ -20,7 +20,7 @@ from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.history import FOUND, REFIT, Evaluation, History, basis_of
 from pcbench.gains.parameters import Vector
-from pcbench.gains.validation import WORSE
+from pcbench.gains.validation import MAX_WORSE
 from pcbench.observers import ObserverSpec
 from pcbench.playback import delay_profile, delay_search, innovation_tests, likelihood
 from pcbench.playback.delay_search import ChannelDelay
@@ -40,8 +40,8 @@ from pcbench.synthesis.certificate import Design
 UNLIKELY = 0.05  # p-value of whiteness below which intervals are reported as too short
 CORRECTED = "recording.toml"  # the recording with corrected timestamps
 NOISE = ("R", "q", "Q")  # options of an observer that are noise intensities
-FEWEST = 10  # smallest number of numbers per free parameter, in either part
-SHORT, SLOPE = 1e-4, 0.02  # step of differences in every parameter; allowed relative deviation of a slope from them
+MIN_NUMBERS = 10  # measured numbers per free parameter, in either part
+DIFF_STEP, SLOPE_TOL = 1e-4, 0.02  # step of differences in a parameter; relative deviation of a slope from them
 FLAT = 1e-6  # slope of the mean log-likelihood per number at which a descent has converged
 
 
@@ -133,47 +133,49 @@ def tune_log(
         arrivals = part.window.mask.sum((1, 2))
         _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
         target = storage.target(str(out) if out is not None else spare)
-        content = sha256()
+        samples_hash = sha256()
         for each in (*part.window, part.inputs):
-            content.update(b"" if each is None else np.ascontiguousarray(each).tobytes())
+            samples_hash.update(b"" if each is None else np.ascontiguousarray(each).tobytes())
         entries = parameters.entries(free)
-        about = f"{where}: {', '.join(entries)} of {content.hexdigest()[:12]}, for {digest(study, [a.cell])[:12]}"
-        trials = History(target, about, entries, basis_of(study, a.cell))
+        samples_digest, study_digest = samples_hash.hexdigest()[:12], digest(study, [a.cell])[:12]
+        description = f"{where}: {', '.join(entries)} of {samples_digest}, for {study_digest}"
+        trials = History(target, description, entries, basis_of(study, a.cell))
         progress.begin("points", budget)
         progress.note("compiling")
         evaluate = likelihood.evaluator(p, part, design)
         before = evaluate(at_start)
         # an observer may skip some
-        _require_samples(before.tick, before.numbers[:, 1], held_out_start, len(at_start), where)
-        if not np.isfinite(before.each).all():
+        _require_samples(before.tick, before.stats[:, 1], held_out_start, len(at_start), where)
+        if not np.isfinite(before.log_likelihood).all():
             raise tune.NoStart(
                 f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
             )
         if not entry.smooth:
             _require_slope(evaluate, at_start, before, where)
-        if n_skipped := int(arrivals.sum() - before.numbers[:, 1].sum()):
+        if n_skipped := int(arrivals.sum() - before.stats[:, 1].sum()):
             a.remarks.append(
                 f"{label} reports no innovation for {n_skipped:,} of {int(arrivals.sum()):,} measured numbers, so they are not "
                 "in its likelihood."
             )
         after = evaluate(first_fit := fit(trials, at_start, held_out_start))
-        refit = History(target, f"{about}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
+        refit = History(target, f"{description}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
         progress.begin("points", budget)
         best = fit(refit, first_fit, a.last_tick + 1)
 
         def total(at: Vector) -> tuple[float, Vector]:
             samples = evaluate(at)
-            return float(samples.each.sum()), np.asarray(samples.score.sum(0))
+            return float(samples.log_likelihood.sum()), np.asarray(samples.score.sum(0))
 
-        late, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
-        diff, many = after.each[late] - before.each[late], float(before.numbers[late, 1].sum())
-        gain, se = float(diff.sum() / many), float(np.std(diff, ddof=1) * np.sqrt(len(diff)) / many)
+        is_held_out, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
+        diff = after.log_likelihood[is_held_out] - before.log_likelihood[is_held_out]
+        n_numbers = float(before.stats[is_held_out, 1].sum())
+        gain, se = float(diff.sum() / n_numbers), float(np.std(diff, ddof=1) * np.sqrt(len(diff)) / n_numbers)
         reason = (
-            "" if gain >= -WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
+            "" if gain >= -MAX_WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
         )
         low, high = innovation_tests.intervals(total, best) if is_converged else (np.full(len(best), np.nan),) * 2
         intensities = _intensities(free, at_start, best, low, high)
-        held_out = {what: _judgement(each.numbers[late]) for what, each in (("start", before), ("tuned", after))}
+        held_out = {what: _results_of(each.stats[is_held_out]) for what, each in (("start", before), ("tuned", after))}
         tuned = LogTuning(
             study=tune.with_options(study, label, {} if reason else parameters.to_options(free, best)),
             start=parameters.to_options(free, at_start),
@@ -189,10 +191,10 @@ def tune_log(
                 *_factors(a, p, parameters.to_options(free, best)),
                 *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
             ],
-            log_likelihood=total(at_start if reason else best)[0] / float(before.numbers[:, 1].sum()),
+            log_likelihood=total(at_start if reason else best)[0] / float(before.stats[:, 1].sum()),
             delays=delays,
         )
-        _write(tuned, target, about)
+        _write(tuned, target, description)
         if delays and out is not None:
             stamp_offsets = {d.channel: -d.estimate for d in delays}
             storage.write_file(
@@ -232,10 +234,10 @@ def _find_delays(
     return delay_search.find(delay_profile.Profile(a, low, high, gains_of, progress))
 
 
-def _judgement(numbers: Floats) -> dict[str, float | str]:
+def _results_of(stats: Floats) -> dict[str, float | str]:
     """Return the innovation tests of some samples."""
-    sums = innovation_tests.add(innovation_tests.Sums(), numbers, np.ones(len(numbers), bool))
-    return innovation_tests.judgement(sums)
+    sums = innovation_tests.add(innovation_tests.Sums(), stats, np.ones(len(stats), bool))
+    return innovation_tests.results_of(sums)
 
 
 def _require(entry: ObserverSpec, budget: int, where: str) -> None:
@@ -254,11 +256,11 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
         )
 
 
-def _require_slope(evaluate: likelihood.Evaluator, at: Vector, here: SampleLikelihood, where: str) -> None:
+def _require_slope(evaluate: likelihood.Evaluator, at: Vector, samples: SampleLikelihood, where: str) -> None:
     """Raise UserError if the likelihood's derivative differs from its differences, as for random or iterated steps."""
-    beyond, behind = (evaluate(at + sign * SHORT).each.sum() for sign in (1, -1))
-    by_differences, slope = (beyond - behind) / (2 * SHORT), here.score.sum()
-    if not abs(by_differences - slope) <= SLOPE * (abs(slope) + np.sqrt(len(here.each))):
+    ahead, back = (evaluate(at + sign * DIFF_STEP).log_likelihood.sum() for sign in (1, -1))
+    by_differences, slope = (ahead - back) / (2 * DIFF_STEP), samples.score.sum()
+    if not abs(by_differences - slope) <= SLOPE_TOL * (abs(slope) + np.sqrt(len(samples.log_likelihood))):
         raise UserError(
             f"{where}: got an observer whose likelihood cannot be differentiated, expected one that goes downhill; tune kf, "
             "ekf or ukf."
@@ -288,22 +290,22 @@ def _tuned_options(
 
 def _require_samples(tick: Ints, numbers: Ints | Floats, held_out_start: int, free: int, where: str) -> None:
     """Raise UserError if there are too few `numbers` [N] at ticks [N] to tune or to test."""
-    early, least = tick < held_out_start, FEWEST * free
-    for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
-        if (many := int(numbers[which].sum())) < least:
+    is_early, fewest = tick < held_out_start, MIN_NUMBERS * free
+    for name, mask in (("the part that is tuned on", is_early), ("the part that is held out", ~is_early)):
+        if (count := int(numbers[mask].sum())) < fewest:
             raise UserError(
-                f"{where}: got {many} measured numbers in {part}, expected {least} or more, {FEWEST} for each of {free} free "
-                "parameters; take a longer log, or tune fewer with --only."
+                f"{where}: got {count} measured numbers in {name}, expected {fewest} or more, {MIN_NUMBERS} for each of {free} "
+                "free parameters; take a longer log, or tune fewer with --only."
             )
 
 
 def _value(samples: SampleLikelihood, end: int) -> tuple[float, Vector]:
     """Return minus the mean log-likelihood per number before a tick, and its slope, set to 0 where it is flat."""
-    early = samples.tick < end
-    degrees = samples.numbers[early, 1].sum()
-    slope = -samples.score[early].sum(0) / degrees
+    is_early = samples.tick < end
+    dof = samples.stats[is_early, 1].sum()
+    slope = -samples.score[is_early].sum(0) / dof
     flat = float(np.abs(slope).max()) < FLAT
-    return -float(samples.each[early].sum() / degrees), np.zeros_like(slope) if flat else slope
+    return -float(samples.log_likelihood[is_early].sum() / dof), np.zeros_like(slope) if flat else slope
 
 
 def _intensities(
@@ -324,8 +326,10 @@ def _factors(a: Playback, p: PlaybackSetup, options: dict[str, Any]) -> list[str
     if p.variances is None or "R" not in options:
         return []
     factors = zip(a.log.channels, np.sqrt(options["R"] / p.variances), strict=True)
-    each = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
-    return [f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {each}."]
+    described = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
+    return [
+        f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {described}."
+    ]
 
 
 def _remarks(is_converged: bool, intensities: list[Intensity], ljung_box_p: float | str) -> list[str]:
@@ -341,10 +345,10 @@ def _remarks(is_converged: bool, intensities: list[Intensity], ljung_box_p: floa
         out.append(
             f"{', '.join(limits)}: the log does not exclude 0, so this is a one-sided 95 % limit (profile likelihood)."
         )
-    if floor := [i.name for i in intensities if i.name.startswith("R") and i.value <= 2 * parameters.LEAST]:
+    if floor := [i.name for i in intensities if i.name.startswith("R") and i.value <= 2 * parameters.MIN_POSITIVE]:
         out.append(
-            f"{', '.join(floor)}: at the least value that is possible, {parameters.LEAST:g}: the channel never changes, or the "
-            "process noise explains all of it; this is no estimate of its noise."
+            f"{', '.join(floor)}: at the least value that is possible, {parameters.MIN_POSITIVE:g}: the channel never changes, "
+            "or the process noise explains all of it; this is no estimate of its noise."
         )
     if float(ljung_box_p) < UNLIKELY:
         out.append(
@@ -354,10 +358,10 @@ def _remarks(is_converged: bool, intensities: list[Intensity], ljung_box_p: floa
     return out
 
 
-def _write(tuned: LogTuning, target: storage.Target, about: str) -> None:
+def _write(tuned: LogTuning, target: storage.Target, description: str) -> None:
     """Write a study that can be run, and the record of the tuning under [resolved.tuning]."""
     summary: dict[str, object] = {
-        "about": about,
+        "about": description,
         "start": tuned.start,
         "best": tuned.best,
         "kept_start": tuned.kept_start,

@@ -221,7 +221,7 @@ def test_profile_is_the_maximum_over_the_noise_and_its_peak_the_estimate(profile
         best = minimize(cost, at.z, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6, "maxiter": 4000})
         values.append(-best.fun)
         drop = profile.cache[profile.best].value - at.value
-        assert at.value == pytest.approx(values[-1], abs=0.02 + 2 * delay_profile.PART * drop)
+        assert at.value == pytest.approx(values[-1], abs=0.02 + 2 * delay_profile.CONVERGED_REL * drop)
     i = int(np.argmax(values))
     a, b, c = np.exp(-2 * (np.array(values[i - 1 : i + 2]) - values[i]) / profile.samples)  # a parabola through three
     peak = ticks[i] + 0.5 * (a - c) / (a - 2 * b + c)

@@ -79,7 +79,7 @@ def test_parts_of_a_sequence_say_what_the_whole_says():
         sums = innovation_tests.add(sums, numbers[first : first + 7], late[first : first + 7])
     counts = numbers[:, 1] > 0
     z = numbers[counts, 3] / np.sqrt(numbers[counts, 1])
-    said = innovation_tests.judgement(sums)
+    said = innovation_tests.results_of(sums)
     Q, p = reference.ljung_box(z, said["lags"])
     assert said["ljung_box"] == pytest.approx(Q, rel=1e-10)
     assert said["ljung_box_p"] == pytest.approx(p, rel=1e-8)
@@ -89,7 +89,7 @@ def test_parts_of_a_sequence_say_what_the_whole_says():
 
 
 def test_of_nothing_nothing_is_said():
-    said = innovation_tests.judgement(
+    said = innovation_tests.results_of(
         innovation_tests.add(innovation_tests.Sums(), np.zeros((3, 4)), np.zeros(3, bool))
     )
     assert said["samples"] == 0

@@ -169,7 +169,9 @@ def test_R_multiplies_what_is_stated_and_its_score_is_a_slope(tmp_path):
 
     look, channel = likelihood.evaluator(p, part, design), np.array([s.channel for s in samples])
     at = np.log(np.array(R) * [4.0, 0.25])
-    assert look(at).each.sum() == pytest.approx(density(samples, std**2 * np.array([4.0, 0.25])[channel])[1], rel=1e-10)
+    assert look(at).log_likelihood.sum() == pytest.approx(
+        density(samples, std**2 * np.array([4.0, 0.25])[channel])[1], rel=1e-10
+    )
     for j, step in enumerate(1e-4 * np.eye(2)):
         up, down = (density(samples, std**2 * (np.exp(at + sign * step) / R)[channel])[1] for sign in (1, -1))
         assert look(at).score.sum(0)[j] == pytest.approx((up - down) / 2e-4, rel=1e-5)

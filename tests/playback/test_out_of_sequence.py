@@ -109,7 +109,7 @@ def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
 
     found = likelihood.evaluator(p, part, design)(np.log(R))
     assert len(found.tick) == len({(s.arrival, s.taken) for s in samples})
-    assert found.each.sum() == pytest.approx(whitened(samples)[1], rel=1e-10)
+    assert found.log_likelihood.sum() == pytest.approx(whitened(samples)[1], rel=1e-10)
 
 
 @pytest.mark.ci

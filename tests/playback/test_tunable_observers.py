@@ -67,7 +67,9 @@ def test_score_is_the_derivative_of_the_likelihood(recording, name):
         assert len(found.tick) > 30
         for slope, step in zip(found.score.sum(0), h * np.eye(len(at)), strict=True):
             # the error of a central difference: its third derivative times h^2 / 6
-            assert slope == pytest.approx((look(at + step).each.sum() - look(at - step).each.sum()) / (2 * h), rel=1e-6)
+            assert slope == pytest.approx(
+                (look(at + step).log_likelihood.sum() - look(at - step).log_likelihood.sum()) / (2 * h), rel=1e-6
+            )
 
 
 @pytest.mark.nightly

@@ -42,12 +42,12 @@ def recorder():
 
 
 @cache
-def stretches():
+def step_blocks():
     """Return `playback.step_block.jit_step_block()`, made in a hurry."""
     from pcbench.playback import step_block
 
     begun = jax.jit(step_block.init_run, static_argnums=(0, 2), compiler_options=options())
-    return begun, jax.jit(step_block.run, static_argnums=0, compiler_options=options())
+    return begun, jax.jit(step_block.run_block, static_argnums=0, compiler_options=options())
 
 
 @contextmanager
