@@ -32,7 +32,7 @@ from pcbench.playback import likelihood, step_block, stream
 from pcbench.playback.likelihood import AffineGains
 from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers
 from pcbench.recordings.log import Batch, Floats, Ints, Log
-from pcbench.recordings.windows import Room, Window, stretches, window
+from pcbench.recordings.windows import Room, Window, blocks, window
 from pcbench.runtime import program_cache
 from pcbench.runtime.progress import Progress
 from pcbench.simulation.types import GridPointParams, Layout
@@ -103,8 +103,8 @@ class Profile:
 
     def _window(self, delays: Delays) -> Window:
         a = self.a
-        (stretch,) = stretches(self._log(delays), a.survey, a.clock, a.length, a.last_tick)
-        return window(stretch, len(self.low), 1, 0, self.p.variances)[0]
+        (block,) = blocks(self._log(delays), a.survey, a.clock, a.length, a.last_tick)
+        return window(block, len(self.low), 1, 0, self.p.variances)[0]
 
     @property
     def best(self) -> Delays:

@@ -19,17 +19,17 @@ from pcbench.plants import estimated_of, output_units
 from pcbench.playback.step_block import PLANT
 from pcbench.recordings import readers
 from pcbench.recordings.log import Floats, Log, shift_stamps
-from pcbench.recordings.survey import Survey, held_values, limit_truth, require_units, survey
+from pcbench.recordings.survey import Survey, describe_held, limit_truth, require_units, survey
 from pcbench.recordings.tables import Frames
 from pcbench.recordings.times import Clock
-from pcbench.recordings.windows import Room, stretches, with_stretch
+from pcbench.recordings.windows import Room, blocks, with_block
 from pcbench.simulation import shape_checks
 from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 from pcbench.study.grid import Cell
 from pcbench.study.load import StudyLike
 from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
 
-LENGTH = 1 << 16  # ticks of a part, at most
+LENGTH = 1 << 16  # ticks of a block, at most
 HORIZONS = 10  # largest number of durations of the plant file per row; a longer recording mixes clocks or units
 
 
@@ -43,7 +43,7 @@ class Playback(NamedTuple):
     clock: Clock
     last_tick: int  # of the recording; the first is 0
     remarks: list[str]  # sentences
-    length: int  # ticks of a part
+    length: int  # ticks of a block
 
 
 class PlaybackSetup(NamedTuple):
@@ -120,7 +120,7 @@ def open_playback(
         remarks.append(f"{recording.name} has no inputs: they are taken to be 0.")
     if start is not None and stats.start < start:
         remarks.append(f"what was sampled before {start:g} s is left out.")
-    remarks.extend(held_values(stats))
+    remarks.extend(describe_held(stats))
     if with_std := stats.with_std():
         remarks.append(f"{', '.join(with_std)}: each measurement has the variance that {recording.name} states for it.")
     length = min(LENGTH, max(power_of_2(last_tick + 1), 2))
@@ -132,8 +132,8 @@ def room_of(a: Playback) -> Room:
     """Return the room that a recording needs, from one pass over it."""
     latest = int(np.ceil(max((c.delays.most for c in a.survey.channels.values()), default=0.0) / a.clock.dt)) + 1
     room = Room()
-    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last_tick):
-        room = with_stretch(room, stretch, max(latest, 0))
+    for block in blocks(a.log, a.survey, a.clock, a.length, a.last_tick):
+        room = with_block(room, block, max(latest, 0))
     return room
 
 

@@ -21,7 +21,7 @@ from pcbench.playback.setup import Playback, PlaybackSetup
 from pcbench.playback.step_block import Score, TickOutputs
 from pcbench.recordings.log import Floats, Ints, Table
 from pcbench.recordings.times import require_forward
-from pcbench.recordings.windows import Window, cut, stretches, window
+from pcbench.recordings.windows import Window, blocks, cut, window
 from pcbench.runtime import thread_pools
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, InputWindow, Layout
@@ -41,14 +41,14 @@ def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Par
     inputs = at_ticks(a, a.log.inputs, "inputs", a.log.inputs.names if a.log.inputs else [""] * p.m)
     truth = at_ticks(a, a.log.truth, "truth", signals)
     before, arrived = np.zeros((p.back, p.m)), 0
-    for stretch in stretches(a.log, a.survey, a.clock, a.length, a.last_tick):
-        w, arrived = window(stretch, len(a.log.channels), p.slots, arrived, p.variances)
+    for block in blocks(a.log, a.survey, a.clock, a.length, a.last_tick):
+        w, arrived = window(block, len(a.log.channels), p.slots, arrived, p.variances)
         rows = next(inputs)
         exists = ~np.isnan(rows).all(1) if p.m else np.zeros(a.length, bool)
         newest = np.maximum.accumulate(np.where(exists, np.arange(a.length), -1))
         held_inputs = np.where((newest >= 0)[:, None], rows[np.maximum(newest, 0)], before[-1])
         part_inputs = np.concatenate([before, held_inputs])
-        yield Part(stretch.first, w, part_inputs, next(truth))
+        yield Part(block.first, w, part_inputs, next(truth))
         before = part_inputs[len(part_inputs) - p.back :]
 
 

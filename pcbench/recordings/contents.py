@@ -17,7 +17,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.recordings import matlab, mcap, readers, rosbag, tables, ulog
 from pcbench.recordings.log import SECONDS, Floats, Source, Topic
-from pcbench.recordings.running_stats import Spread, add
+from pcbench.recordings.running_stats import RunningStats, add
 from pcbench.signal_names import LONGEST_UNIT, UNIT
 
 TOPICS = {readers.BAG: rosbag.topics, readers.MCAP: mcap.topics, readers.TABLE: tables.topics}
@@ -33,7 +33,7 @@ EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # a timestamp this large co
 class FieldStats(NamedTuple):
     """Statistics of the numbers of one field."""
 
-    spread: Spread = Spread()
+    spread: RunningStats = RunningStats()
     rows: int = 0
     repeats: int = 0  # rows that repeat the number of the row before
     falls: int = 0  # rows with a number not above that of the row before
@@ -45,7 +45,7 @@ class FieldStats(NamedTuple):
         return self.spread.many > 1 and self.spread.least == self.spread.most
 
 
-class Contents(NamedTuple):
+class TopicContents(NamedTuple):
     """Contents of one topic."""
 
     topic: Topic
@@ -58,7 +58,7 @@ class Contents(NamedTuple):
     def span(self) -> tuple[float, float]:
         """First and last timestamp [s]."""
         scale = SECONDS[self.unit or "s"]
-        spread = self.fields[self.stamp].spread if self.stamp in self.fields else Spread()
+        spread = self.fields[self.stamp].spread if self.stamp in self.fields else RunningStats()
         return (scale * spread.least, scale * spread.most) if spread.many else (np.nan, np.nan)
 
 
@@ -67,7 +67,7 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() == ".toml" or not path.exists() or readers.has_tables(path)
 
 
-def contents(path: Path) -> list[Contents]:
+def contents(path: Path) -> list[TopicContents]:
     """Return the contents of a file; raise UserError if it cannot be read."""
     kind = readers.format_of(path, path.name)
     source = Source(path, "", [], set(), None, path.name, topics={""}, cache={})
@@ -79,7 +79,7 @@ def contents(path: Path) -> list[Contents]:
     return out
 
 
-def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
+def _contents(source: Source, topic: Topic, kind: readers.Format) -> TopicContents:
     fields = list(dict.fromkeys([*topic.times, *topic.numbers]))
     source = source._replace(topic=topic.name, frame=topic.frame, fields=fields, times=set(topic.times))
     stats, problem = {field: FieldStats() for field in fields}, topic.problem
@@ -91,7 +91,7 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
             raise
         problem = str(error)
     if topic.times and kind is not readers.TABLE:
-        return Contents(topic, stats, topic.times[0], None, problem)
+        return TopicContents(topic, stats, topic.times[0], None, problem)
     monotonic = [
         field for field in topic.numbers if stats[field].rows == stats[field].spread.many and not stats[field].falls
     ]
@@ -100,11 +100,11 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> Contents:
     stamp = next(iter(matches or first), None)
     if stamp in topic.times or stamp in topic.words:
         problem = problem or (_time_problem(str(stamp), stats.get(str(stamp))) if matches else "")
-        return Contents(topic, stats, stamp, None, problem)
+        return TopicContents(topic, stats, stamp, None, problem)
     unit = tables.name_and_unit(stamp)[1] if stamp else None
     if stamp and unit not in SECONDS:
         unit = next((unit for least, unit in EPOCHS if stats[stamp].spread.most > least), "s")
-    return Contents(topic, stats, stamp, unit, problem or _time_problem(stamp, stats[stamp]) if stamp else problem)
+    return TopicContents(topic, stats, stamp, unit, problem or _time_problem(stamp, stats[stamp]) if stamp else problem)
 
 
 def _time_problem(stamp: str, s: FieldStats | None) -> str:
@@ -131,27 +131,27 @@ def _update(s: FieldStats, numbers: Floats) -> FieldStats:
     )
 
 
-def rows_of(topics: list[Contents]) -> list[dict[str, Any]]:
+def rows_of(topics: list[TopicContents]) -> list[dict[str, Any]]:
     """Return one row per field that is not a time, times in seconds; a topic without numbers has a row without a field."""
     rows = []
     for c in topics:
         first, last = c.span
         numbers = {field: s for field, s in c.fields.items() if field not in c.topic.times}
         for field, s in (numbers or {"": c.fields.get(str(c.stamp), FieldStats())}).items():
-            many = s.spread.many
+            count = s.spread.many
             rows.append(
                 {
                     **{"topic": c.topic.name, "frame": c.topic.frame, "kind": c.topic.kind, "field": field},
-                    **{"rows": s.rows, "missing": s.rows - many, "first": first, "last": last},
-                    "rate": (many - 1) / (last - first) if last > first and many > 1 else np.nan,
-                    **{"least": s.spread.least if many else np.nan, "most": s.spread.most if many else np.nan},
+                    **{"rows": s.rows, "missing": s.rows - count, "first": first, "last": last},
+                    "rate": (count - 1) / (last - first) if last > first and count > 1 else np.nan,
+                    **{"least": s.spread.least if count else np.nan, "most": s.spread.most if count else np.nan},
                     **{"constant": s.constant, "repeats": s.repeats},
                 }
             )
     return rows
 
 
-def starter_toml(path: Path, topics: list[Contents], folder: Path) -> str:
+def starter_toml(path: Path, topics: list[TopicContents], folder: Path) -> str:
     """Return a TOML in `folder` that maps fields to channels and inputs; unlikely ones are comments."""
     kind, counts = readers.format_of(path, path.name), {"channels": 0, "inputs": 0}
     units = {c.unit for c in topics if c.unit not in (None, "s") and tables.name_and_unit(str(c.stamp))[1] != c.unit}
@@ -169,23 +169,24 @@ def starter_toml(path: Path, topics: list[Contents], folder: Path) -> str:
             name, unit = tables.name_and_unit(field)
             is_input = INPUT.fullmatch(name) or INPUT.fullmatch(c.topic.name)
             table, letter, key = ("inputs", "u", "t") if is_input else ("channels", "y", "sampled")
-            dead = COUNTER.fullmatch(name) or TIME.match(name) or (s.constant and not (is_input and s.spread.most))
-            mark = "# " if counts[table] >= ACTIVE or dead else ""
-            counts[table] += not mark
+            is_dead = s.constant and not (is_input and s.spread.most)
+            is_unlikely = COUNTER.fullmatch(name) or TIME.match(name) or is_dead
+            prefix = "# " if counts[table] >= ACTIVE or is_unlikely else ""
+            counts[table] += not prefix
             is_unit = unit and len(unit) <= LONGEST_UNIT and UNIT.fullmatch(unit)
             entry = {"topic": c.topic.name, "frame": c.topic.frame, "field": field, "unit": unit if is_unit else "1"}
             entry[key] = c.stamp if c.stamp != kind.stamp else ""
-            block = [f"[{table}.{letter}{counts[table] + bool(mark)}]  # {s.spread.least:.6g} to {s.spread.most:.6g}"]
+            block = [f"[{table}.{letter}{counts[table] + bool(prefix)}]  # {s.spread.least:.6g} to {s.spread.most:.6g}"]
             block += [f"{key} = {_text(value)}" for key, value in entry.items() if value]
             if arrival and not is_input:
                 block.append(f"arrived = {_text(arrival)}")
             elif not (is_input or kind.arrived):
                 block.append("delay = 0.0  # [s] from the timestamp to the arrival")
-            lines += ["", *(mark + line for line in block)]
+            lines += ["", *(prefix + line for line in block)]
     return "\n".join(lines) + "\n"
 
 
-def _arrival(c: Contents) -> str | None:
+def _arrival(c: TopicContents) -> str | None:
     """Return the field of the times of arrival: named so, complete, and never before the timestamps at both ends."""
     stamps = c.fields.get(str(c.stamp), FieldStats())
     if not stamps.spread.many:

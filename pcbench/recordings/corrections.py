@@ -30,7 +30,7 @@ from pcbench.recordings.log import Batch, Floats, Log, Rows, Table
 from pcbench.toml_text import TomlTable
 
 
-class Values(BaseModel):
+class ValueCorrection(BaseModel):
     """Correction of an input or a state."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -38,7 +38,7 @@ class Values(BaseModel):
     offset: float = 0.0
 
 
-class Samples(Values):
+class ChannelCorrection(ValueCorrection):
     """Correction of a channel."""
 
     clock_offset: float = 0.0
@@ -51,9 +51,9 @@ class TablesToml(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     log: str
-    channels: dict[str, Samples] = {}
-    inputs: dict[str, Values] = {}
-    truth: dict[str, Values] = {}
+    channels: dict[str, ChannelCorrection] = {}
+    inputs: dict[str, ValueCorrection] = {}
+    truth: dict[str, ValueCorrection] = {}
 
 
 class Changes:
@@ -69,8 +69,8 @@ class Changes:
         return np.asarray(is_change)
 
 
-def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
-    """Return tables with corrections; `late`: samples arrive a delay after their timestamp, which each channel must have.
+def correct_tables(log: Log, toml: TablesToml, where: str, has_delay: bool) -> Log:
+    """Return tables with corrections; `has_delay`: samples arrive a delay after their timestamp, required for each channel.
 
     Raises UserError for a name that the tables do not have.
     """
@@ -78,26 +78,27 @@ def correct_tables(log: Log, toml: TablesToml, where: str, late: bool) -> Log:
         for name in getattr(toml, section):
             if name not in names:
                 raise unknown(f"{where}: {section}", "name", name, names)
-    each = [toml.channels.get(name, Samples()) for name in log.channels]
-    for name, c in zip(log.channels, each, strict=True):
-        if (c.delay is None) == late:
-            got = "no delay and a table without arrivals" if late else "a delay and a table with arrivals"
+    corrections = [toml.channels.get(name, ChannelCorrection()) for name in log.channels]
+    for name, c in zip(log.channels, corrections, strict=True):
+        if (c.delay is None) == has_delay:
+            got = "no delay and a table without arrivals" if has_delay else "a delay and a table with arrivals"
             raise UserError(f"{where}: channels.{name}: got {got}, expected one of them; correct this channel.")
-    scale, offset, clock = (np.array([getattr(c, key) for c in each]) for key in ("scale", "offset", "clock_offset"))
-    delay = np.array([c.delay or 0.0 for c in each])
+    keys = ("scale", "offset", "clock_offset")
+    scale, offset, clock = (np.array([getattr(c, key) for c in corrections]) for key in keys)
+    delay = np.array([c.delay or 0.0 for c in corrections])
 
     def measurements() -> Iterator[Batch]:
-        changes = [Changes() for _ in each]
+        changes = [Changes() for _ in corrections]
         for b in log.measurements():
             stamps = b.sampled + clock[b.channel]
             b = b._replace(
                 sampled=stamps,
-                arrived=stamps + delay[b.channel] if late else b.arrived,
+                arrived=stamps + delay[b.channel] if has_delay else b.arrived,
                 value=scale[b.channel] * b.value + offset[b.channel],
                 std=np.abs(scale[b.channel]) * b.std if len(b.std) else b.std,
             )
             mask = np.ones(len(b.row), bool)
-            for i, c in enumerate(each):
+            for i, c in enumerate(corrections):
                 if c.only_changes:
                     of_channel = b.channel == i
                     mask[of_channel] = changes[i](b.value[of_channel])
@@ -112,11 +113,11 @@ def _names(table: Table | None) -> tuple[str, ...]:
     return table.names if table else ()
 
 
-def _correct(table: Table | None, corrections: Mapping[str, Values]) -> Table | None:
+def _correct(table: Table | None, corrections: Mapping[str, ValueCorrection]) -> Table | None:
     if table is None or not corrections:
         return table
-    each = [corrections.get(name, Values()) for name in table.names]
-    scale, offset = np.array([c.scale for c in each]), np.array([c.offset for c in each])
+    by_column = [corrections.get(name, ValueCorrection()) for name in table.names]
+    scale, offset = np.array([c.scale for c in by_column]), np.array([c.offset for c in by_column])
 
     def read() -> Iterator[Rows]:
         return (rows._replace(values=scale * rows.values + offset) for rows in table.read())

@@ -61,14 +61,14 @@ class Dialect(NamedTuple):
     skip: int  # lines before the first row
 
 
-class Layout(NamedTuple):
+class SeparatorFit(NamedTuple):
     """How well a separator explains the lines of a file: larger is better."""
 
     share: float  # share of cells in rows that are numbers, times or empty
     rows: int
     separator: str
     first: int  # line of the first row
-    many: int  # number of columns
+    n_columns: int
 
 
 def dialect(path: Path, options: CsvOptions) -> Dialect:
@@ -80,15 +80,16 @@ def dialect(path: Path, options: CsvOptions) -> Dialect:
     text = _decode(sample, encoding, path)
     lines = re.split(r"\r\n|\n|\r", text)
     lines = (lines[:-1] if is_truncated and len(lines) > 1 else lines)[:LINES]
-    layouts = [_layout(lines, s) for s in ([options.separator] if options.separator else SEPARATORS)]
-    layout = max(layouts, key=lambda each: (each.share, each.rows, each.many))
-    separator, many = layout.separator, layout.many
-    head, first = _head(lines, layout, options.head)
-    rows = [cells for line in lines[first:] if len(cells := _cells(line, separator)) == many and not _is_comment(line)]
-    columns = list(zip(*rows, strict=True)) or [()] * many
+    fits = [_fit_separator(lines, s) for s in ([options.separator] if options.separator else SEPARATORS)]
+    fit = max(fits, key=lambda each: (each.share, each.rows, each.n_columns))
+    separator, n_columns = fit.separator, fit.n_columns
+    head, first = _head(lines, fit, options.head)
+    rows = [_cells(line, separator) for line in lines[first:] if not _is_comment(line)]
+    rows = [cells for cells in rows if len(cells) == n_columns]
+    columns = list(zip(*rows, strict=True)) or [()] * n_columns
     decimal = options.decimal or ("," if any("," in c and _kind(c) == "number" for row in rows for c in row) else ".")
     if not head:
-        head = list(TUM if separator == " " and many == len(TUM) else map(str, range(many)))
+        head = list(TUM if separator == " " and n_columns == len(TUM) else map(str, range(n_columns)))
     types = tuple(map(_type, columns))
     return Dialect(encoding, separator, decimal, tuple(head), types, first)
 
@@ -138,44 +139,44 @@ def _is_comment(line: str) -> bool:
     return bool(COMMENT.match(line))
 
 
-def _layout(lines: list[str], separator: str) -> Layout:
+def _fit_separator(lines: list[str], separator: str) -> SeparatorFit:
     """Return how well a separator explains some lines, and where their rows begin."""
     cells = {i: _cells(line, separator) for i, line in enumerate(lines) if line.strip() and not _is_comment(line)}
     kinds = {i: [_kind(cell) for cell in row] for i, row in cells.items()}
     numbers = {i for i, row in kinds.items() if KINDS.keys() & set(row)}
     counts = Counter(len(kinds[i]) for i in numbers)
-    many = max(counts, key=lambda n: (counts[n], n), default=len(next(iter(cells.values()), [])))
+    n_columns = max(counts, key=lambda n: (counts[n], n), default=len(next(iter(cells.values()), [])))
     run: list[int] = []
     for i in reversed(kinds):
-        if len(kinds[i]) == many and i in numbers:
+        if len(kinds[i]) == n_columns and i in numbers:
             run.append(i)
-        elif len(kinds[i]) == many and run and "word" in kinds[i]:
+        elif len(kinds[i]) == n_columns and run and "word" in kinds[i]:
             break
     if len(run) > 1 and run[-1] == next(iter(kinds)):  # a head with a number among its names
-        below = [{kinds[i][c] for i in run[:-1]} for c in range(many)]
+        below = [{kinds[i][c] for i in run[:-1]} for c in range(n_columns)]
         if any(kind == "word" and "word" not in each for kind, each in zip(kinds[run[-1]], below, strict=True)):
             run.pop()
-    every = [kind for i in run for kind in kinds[i]]
-    share = sum(kind != "word" for kind in every) / max(len(every), 1)
+    row_kinds = [kind for i in run for kind in kinds[i]]
+    share = sum(kind != "word" for kind in row_kinds) / max(len(row_kinds), 1)
     first = run[-1] if run else next(iter(cells), -1) + 1
-    return Layout(min(share, 1.0 if many > 1 else ALONE), len(run), separator, first, many)
+    return SeparatorFit(min(share, 1.0 if n_columns > 1 else ALONE), len(run), separator, first, n_columns)
 
 
-def _head(lines: list[str], layout: Layout, number: int | None) -> tuple[list[str], int]:
+def _head(lines: list[str], fit: SeparatorFit, number: int | None) -> tuple[list[str], int]:
     """Return the names of the columns, with units if the line below has them, and the line of the first row."""
     if number is not None:
-        names = _cells(lines[number - 1], layout.separator) if 0 < number <= len(lines) else []
-        return names, max(layout.first, number)
-    above = [line for line in lines[: layout.first] if line.strip()][-2:]
-    *before, names = [list[str](), *(_cells(COMMENT.sub("", line), layout.separator) for line in above)]
+        names = _cells(lines[number - 1], fit.separator) if 0 < number <= len(lines) else []
+        return names, max(fit.first, number)
+    above = [line for line in lines[: fit.first] if line.strip()][-2:]
+    *before, names = [list[str](), *(_cells(COMMENT.sub("", line), fit.separator) for line in above)]
     units = [cell.strip("[]()") for cell in names]
-    if len(names) != layout.many:
-        return [], layout.first
+    if len(names) != fit.n_columns:
+        return [], fit.first
     head = before[-1] if before and not _is_comment(above[0]) else []
-    if len(head) == layout.many and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(head, units, strict=True)):
+    if len(head) == fit.n_columns and all(not u or (n and UNIT.fullmatch(u)) for n, u in zip(head, units, strict=True)):
         pairs = zip(head, units, strict=True)
         names = [f"{name} [{unit}]" if unit and "[" not in name else name for name, unit in pairs]
-    return names, layout.first
+    return names, fit.first
 
 
 def blank_squeezer() -> Callable[[bytes], bytes]:

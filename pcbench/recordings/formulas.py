@@ -79,8 +79,8 @@ def _expand(tree: Tree) -> Tree:
     if name == "yaw" and len(arguments) == 1 and isinstance(q := arguments[0], str):
         arguments = tuple(f"{q}.{axis}" for axis in "wxyz")
     if name in ARGUMENTS and len(arguments) not in ARGUMENTS[name]:
-        many = " or ".join(map(str, sorted(ARGUMENTS[name])))
-        raise ValueError(f"{many} arguments of {name}, not {len(arguments)}")
+        counts = " or ".join(map(str, sorted(ARGUMENTS[name])))
+        raise ValueError(f"{counts} arguments of {name}, not {len(arguments)}")
     return (name, *map(_expand, arguments))
 
 
@@ -107,8 +107,8 @@ def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
         return out
 
     def evaluate(part: Columns) -> Floats:
-        many = next(iter(part.values())).shape
+        shape = next(iter(part.values())).shape
         with np.errstate(all="ignore"):  # users of the result check that it is finite
-            return np.broadcast_to(np.asarray(evaluate_node(tree, part), float), many)
+            return np.broadcast_to(np.asarray(evaluate_node(tree, part), float), shape)
 
     return evaluate

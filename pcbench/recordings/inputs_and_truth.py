@@ -77,9 +77,9 @@ def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame
     import pandas as pd
 
     pending = [next(reader, None) for reader in readers]
-    while rest := [each for each in pending if each is not None]:
-        until = min(each.index[-1] for each in rest)
-        yield pd.concat([each[each.index <= until] for each in rest])
+    while unread := [each for each in pending if each is not None]:
+        until = min(each.index[-1] for each in unread)
+        yield pd.concat([each[each.index <= until] for each in unread])
         for i, each in enumerate(pending):
             if each is not None:
                 tail = each[each.index > until]

@@ -57,15 +57,15 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
     """Return the lag of two channels, each in rows of timestamp and value; None if they are not similar."""
     if min(len(a), len(b)) < 4 * BLOCKS:
         return None
-    a, b = (each[np.unique(each[:, 0], return_index=True)[1]] for each in (a, b))
-    slow = max(float(np.median(np.diff(each[:, 0]))) for each in (a, b))
+    a, b = (series[np.unique(series[:, 0], return_index=True)[1]] for series in (a, b))
+    slow = max(float(np.median(np.diff(series[:, 0]))) for series in (a, b))
     start, end = max(a[0, 0], b[0, 0]), min(a[-1, 0], b[-1, 0])
-    step = max(min(float(np.median(np.diff(each[:, 0]))) for each in (a, b)), (end - start) / STEPS)
+    step = max(min(float(np.median(np.diff(series[:, 0]))) for series in (a, b)), (end - start) / STEPS)
     reach = int(RANGE * slow / step)
     grid = np.arange(start, end, step)
     if len(grid) < max(4 * reach, 4 * BLOCKS):
         return None
-    ra, rb = (np.diff(np.interp(grid, each[:, 0], each[:, 1])) for each in (_smooth(a, slow), _smooth(b, slow)))
+    ra, rb = (np.diff(np.interp(grid, series[:, 0], series[:, 1])) for series in (_smooth(a, slow), _smooth(b, slow)))
     inner = np.arange(reach, len(ra) - reach)
     shifts = np.arange(-reach, reach + 1)
     block = np.minimum((inner - inner[0]) * BLOCKS // len(inner), BLOCKS - 1)
@@ -78,8 +78,8 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
     lag, c = _peak(total, shifts)
     if not abs(c) > ALIKE:
         return None
-    each = np.array([_peak(total - one, shifts)[0] for one in sums])
-    half = T9 * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.square(each - each.mean()).sum()))
+    lags = np.array([_peak(total - block_sums, shifts)[0] for block_sums in sums])
+    half = T9 * float(np.sqrt((BLOCKS - 1) / BLOCKS * np.square(lags - lags.mean()).sum()))
     if 2 * half > reach:  # an interval as long as half the range of the search determines no lag
         return None
     lag, half = float(lag * step), float(half * step)
@@ -88,10 +88,10 @@ def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:
 
 def _smooth(series: Floats, slow: float) -> Floats:
     """Return a channel averaged over the interval of the slower one, so that both have the same bandwidth."""
-    every = max(round(slow / float(np.median(np.diff(series[:, 0])))), 1)
-    if every == 1:
+    width = max(round(slow / float(np.median(np.diff(series[:, 0])))), 1)
+    if width == 1:
         return series
-    window = np.ones(every) / every
+    window = np.ones(width) / width
     return np.stack([np.convolve(column, window, "valid") for column in series.T], 1)
 
 

@@ -21,9 +21,7 @@ Ints = NDArray[np.int64]
 Columns = dict[str, Floats]  # fields of a file by name, [K] each, times in seconds
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 MOST = 2000  # largest number of examined fields of a topic
-NO_TIME = (
-    " of times (write sampled = NAME, or period = SECONDS if the file has none)"  # end of an error message on a field
-)
+NO_TIME = " of times (write sampled = NAME, or period = SECONDS if the file has none)"  # part of a message on a field
 
 
 class Batch(NamedTuple):

@@ -20,7 +20,7 @@ from pcbench.recordings.log import MOST, NO_TIME, SECONDS, Columns, Source, Topi
 if TYPE_CHECKING:
     import h5py
 
-NEWER = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5, at byte 0 or 512
+HDF5 = b"\x89HDF\r\n\x1a\n"  # first bytes of such a file (format 7.3), at byte 0 or 512
 DEEPEST = 32  # largest nesting of structs
 KINDS = {"U": "text", "S": "text", "c": "complex numbers"}
 
@@ -33,8 +33,8 @@ def columns(source: Source) -> Iterator[Columns]:
     struct: Any = source.cache
     for part in filter(None, source.topic.split(".")):
         if not isinstance(struct.get(part), dict):
-            every = variables(source, None) if struct is source.cache else struct
-            raise unknown(source.place, "struct", part, [name for name, v in every.items() if isinstance(v, dict)])
+            available = variables(source, None) if struct is source.cache else struct
+            raise unknown(source.place, "struct", part, [name for name, v in available.items() if isinstance(v, dict)])
         struct = struct[part]
     out = {}
     for field in source.fields:
@@ -72,9 +72,9 @@ def topics(source: Source) -> Iterator[Topic]:
                 many = min(value.shape) if value.ndim == 2 else 0
                 yield from ((f"{prefix}{name}{f'.{i}' if many else ''}", max(value.shape)) for i in range(many or 1))
 
-    every = variables(source, None)
-    structs = {name: value for name, value in every.items() if isinstance(value, dict)}
-    for topic, struct in {"": {k: v for k, v in every.items() if k not in structs}, **structs}.items():
+    all_variables = variables(source, None)
+    structs = {name: value for name, value in all_variables.items() if isinstance(value, dict)}
+    for topic, struct in {"": {k: v for k, v in all_variables.items() if k not in structs}, **structs}.items():
         sizes = dict(islice(vectors(struct, ""), MOST))
         length = Counter(sizes.values()).most_common(1)
         if length:
@@ -106,7 +106,7 @@ def variables(source: Source, names: list[str] | None) -> dict[str, Any]:
     with convert_errors(source, "a whole MATLAB file; save it again with -v7"):
         with source.path.open("rb") as file:
             head = file.read(520)
-        if NEWER in (head[:8], head[512:]):
+        if HDF5 in (head[:8], head[512:]):
             import h5py
 
             with h5py.File(source.path, "r") as hdf:

@@ -36,7 +36,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pcbench import toml_text
 from pcbench.errors import UserError, first_sentence, unknown
 from pcbench.recordings import matlab, mcap, rosbag, tables, ulog
-from pcbench.recordings.corrections import Changes, Samples, TablesToml, correct_tables
+from pcbench.recordings.corrections import Changes, ChannelCorrection, TablesToml, correct_tables
 from pcbench.recordings.csv_dialects import CSV_DEFAULTS, CsvOptions
 from pcbench.recordings.formulas import quantity
 from pcbench.recordings.inputs_and_truth import Times, merge, table_of
@@ -138,13 +138,13 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
             unit(column.unit, f"{path.name}: {section}.{name}.unit")
     file = path.parent / toml.log
     kind = format_of(file, f"{path.name}: log")
-    every = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
+    columns = [*toml.channels.values(), *toml.inputs.values(), *toml.truth.values()]
     _require_one_time_axis(toml, kind, file, path.name)
-    if kind not in MESSAGES and (frame := next((c.frame for c in every if c.frame), None)):
+    if kind not in MESSAGES and (frame := next((c.frame for c in columns if c.frame), None)):
         raise UserError(f"{path.name}: frame: got '{frame}', expected it of bags and MCAP files alone; leave it out.")
-    for c in every:
+    for c in columns:
         c.period = c.period or (None if c.sampled or c.t else toml.period)
-    topics = {c.topic for c in every}
+    topics = {c.topic for c in columns}
     source = Source(file, "", [], set(), toml.time_unit, path.name, topics=topics, cache={}, csv=toml.csv)
     channels = [_channel(c, kind, source, i, name, delay) for i, (name, c) in enumerate(toml.channels.items())]
 
@@ -158,22 +158,22 @@ def open_toml(path: Path, delay: float | None = None) -> Log:
 
 def _require_one_time_axis(toml: Mapping, kind: Format, file: Path, where: str) -> None:
     """Raise UserError if a period has no effect, or if a table mixes a period with a column of times."""
-    each = {f"{key}.{name}": c for key in ("channels", "inputs", "truth") for name, c in getattr(toml, key).items()}
-    has_time = [c.period is not None or bool(c.sampled or c.t) for c in each.values()]
+    by_key = {f"{key}.{name}": c for key in ("channels", "inputs", "truth") for name, c in getattr(toml, key).items()}
+    has_time = [c.period is not None or bool(c.sampled or c.t) for c in by_key.values()]
     if toml.period and all(has_time):
         raise UserError(
-            f"{where}: got a period and times of {next(iter(each))}, expected one of them; leave one out, or write the period "
-            "there."
+            f"{where}: got a period and times of {next(iter(by_key))}, expected one of them; leave one out, or write the "
+            "period there."
         )
-    with_period = next((name for name, c in each.items() if c.period or toml.period), None)
+    with_period = next((name for name, c in by_key.items() if c.period or toml.period), None)
     if kind is not TABLE or with_period is None:
         return
     if not toml.period and not all(has_time):
         raise UserError(
-            f"{where}: got a period of {with_period} and no time of {list(each)[has_time.index(False)]}, expected both of "
+            f"{where}: got a period of {with_period} and no time of {list(by_key)[has_time.index(False)]}, expected both of "
             "one kind for the rows of a table; write the period of the whole file, or name the column of times there."
         )
-    time_columns = {c.sampled or c.t for c in each.values()}
+    time_columns = {c.sampled or c.t for c in by_key.values()}
     if kind.stamp not in time_columns and any(
         tables.name_and_unit(head)[0] == kind.stamp for head in tables.heads(file, toml.csv)
     ):
@@ -218,27 +218,27 @@ def _validate(model: type[M], raw: TomlTable, path: Path) -> M:
                 f'{path.name}: {place}: got no unit, expected what its values are in; write unit = "m".'
             ) from None
         if first["type"] == "extra_forbidden":
-            *above, key = first["loc"]
-            where = f"{path.name}: {'.'.join(map(str, above))}" if above else path.name
-            raise unknown(where, "key", str(key), _keys(model, above)) from None
+            *parents, key = first["loc"]
+            where = f"{path.name}: {'.'.join(map(str, parents))}" if parents else path.name
+            raise unknown(where, "key", str(key), _keys(model, parents)) from None
         if place in ("channels", "log") and first["type"] in ("missing", "too_short"):
-            what = 'channel, expected one at least; write [channels.y1] with field = "NAME" and unit = "m"'
-            what = what if place == "channels" else "log, expected the name of the file; write log = NAME"
-            raise UserError(f"{path.name}: got no {what}, or remove the # before those that are meant.") from None
+            problem = 'channel, expected one at least; write [channels.y1] with field = "NAME" and unit = "m"'
+            problem = problem if place == "channels" else "log, expected the name of the file; write log = NAME"
+            raise UserError(f"{path.name}: got no {problem}, or remove the # before those that are meant.") from None
         if place == "log":
             raise UserError(
                 f'{path.name}: log is the name of one file or folder; write log = "camera.csv". To combine several files, see '
                 "pcbench guide recording-files."
             ) from None
-        what = first["msg"][0].lower() + first["msg"][1:]
-        raise UserError(f"{path.name}: {place}: {what}; see pcbench guide recordings for its keys.") from None
+        problem = first["msg"][0].lower() + first["msg"][1:]
+        raise UserError(f"{path.name}: {place}: {problem}; see pcbench guide recordings for its keys.") from None
 
 
-def _keys(model: type[BaseModel], above: list[int | str]) -> Iterable[str]:
+def _keys(model: type[BaseModel], parents: list[int | str]) -> Iterable[str]:
     """Return the keys of a table of a TOML."""
-    if not above:
+    if not parents:
         return model.model_fields
-    kind = model.model_fields[str(above[0])].annotation
+    kind = model.model_fields[str(parents[0])].annotation
     (inner,) = [each for each in (kind, *get_args(kind)) if isinstance(each, type) and issubclass(each, BaseModel)]
     return inner.model_fields
 
@@ -259,36 +259,36 @@ def has_tables(file: Path) -> bool:
 
 def _open_with_corrections(path: Path, toml: TablesToml, delay: float | None) -> Log:
     """Return tables with the corrections of a TOML; `delay` [s] is that of channels without one."""
-    file, late = path.parent / toml.log, not tables.has_arrivals(path.parent / toml.log)
-    log = tables.open_tables(file, 0.0 if late else delay)
-    if late and delay is not None:
-        each = {name: toml.channels.get(name, Samples()) for name in log.channels}
-        each = {name: c if c.delay is not None else c.model_copy(update={"delay": delay}) for name, c in each.items()}
-        toml = toml.model_copy(update={"channels": toml.channels | each})
-    return correct_tables(log, toml, path.name, late)._replace(name=path.name)
+    file, needs_delay = path.parent / toml.log, not tables.has_arrivals(path.parent / toml.log)
+    log = tables.open_tables(file, 0.0 if needs_delay else delay)
+    if needs_delay and delay is not None:
+        corrections = {name: toml.channels.get(name, ChannelCorrection()) for name in log.channels}
+        completed = {name: c.model_copy(update={"delay": delay}) for name, c in corrections.items() if c.delay is None}
+        toml = toml.model_copy(update={"channels": toml.channels | corrections | completed})
+    return correct_tables(log, toml, path.name, needs_delay)._replace(name=path.name)
 
 
 def _channel(
     c: Column, kind: Format, source: Source, index: int, name: str, delay: float | None
 ) -> Callable[[], Iterator[Batch]]:
     """Return a function that reads a channel; `delay` [s] or its own replaces arrival times."""
-    where, late = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
+    where, fixed_delay = f"{source.where}: channels.{name}", delay if c.delay is None else c.delay
     stamp, times = _stamps(c, c.sampled, kind, where)
-    arrival_field = c.arrived or (None if late is not None or c.period else kind.arrived)
-    if arrival_field is None and late is None:
+    arrival_field = c.arrived or (None if fixed_delay is not None or c.period else kind.arrived)
+    if arrival_field is None and fixed_delay is None:
         raise UserError(
             f"{where}: got neither arrived nor delay, expected one: this kind of file does not say when samples arrived; "
             "write delay = 0.0 if they came at once."
         )
-    if c.arrived and late is not None:
+    if c.arrived and fixed_delay is not None:
         raise UserError(f"{where}: got arrived and a delay, expected one of them; leave one out.")
     if c.std and c.variance:
         raise UserError(f"{where}: got std and variance, expected one of them; leave one out.")
     if c.t:
         raise UserError(f"{where}: got t, expected sampled: a channel has that in its place; write sampled.")
-    spread, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
+    noise_field, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
     time_fields = [each for each in (stamp, arrival_field) if each]
-    fields = [*value.fields, *time_fields, *([spread] if spread else [])]
+    fields = [*value.fields, *time_fields, *([noise_field] if noise_field else [])]
     source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(time_fields))
 
     def read() -> Iterator[Batch]:
@@ -299,15 +299,15 @@ def _channel(
             rows = np.arange(row, row + many, dtype=np.int64)
             row += many
             stamps = times(part, rows) + c.clock_offset
-            arrivals = part[arrival_field] if arrival_field else stamps + (late or 0.0)
-            if spread:  # empty or negative values become 0, which `require_sound` refuses
-                std = np.nan_to_num(np.maximum(part[spread], 0.0), nan=0.0, posinf=np.inf)
+            arrivals = part[arrival_field] if arrival_field else stamps + (fixed_delay or 0.0)
+            if noise_field:  # empty or negative values become 0, which `require_sound` refuses
+                std = np.nan_to_num(np.maximum(part[noise_field], 0.0), nan=0.0, posinf=np.inf)
                 std = abs(c.scale) * (std if c.std else np.sqrt(std))
-            exists = ~np.isnan(values)  # without a value, nothing was measured
+            is_measured = ~np.isnan(values)  # without a value, nothing was measured
             if c.only_changes:
-                exists[exists] = changes(values[exists])
-            if exists.any():
-                yield Batch(np.full(many, index), stamps, arrivals, values, rows, std).select(exists)
+                is_measured[is_measured] = changes(values[is_measured])
+            if is_measured.any():
+                yield Batch(np.full(many, index), stamps, arrivals, values, rows, std).select(is_measured)
 
     return read
 

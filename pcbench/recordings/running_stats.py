@@ -9,7 +9,7 @@ from pcbench.recordings.log import Floats, Ints
 MOST = 1 << 14  # largest selection: every number, then every second, every fourth ...
 
 
-class Spread(NamedTuple):
+class RunningStats(NamedTuple):
     """Statistics of numbers, each with a mark such as its row."""
 
     many: int = 0
@@ -18,7 +18,7 @@ class Spread(NamedTuple):
     least_mark: float = np.nan  # of the first smallest number
     most: float = -np.inf
     most_mark: float = np.nan
-    every: int = 1
+    every: int = 1  # so many numbers per row of the selection
     selection: Floats = np.zeros((0, 2))  # [at most MOST, 2] mark and number
 
     @property
@@ -42,20 +42,19 @@ class Spread(NamedTuple):
         return self.quantiles(0.5)[0]
 
 
-def add(before: Spread, marks: Floats | Ints, numbers: Floats) -> Spread:
+def add(before: RunningStats, marks: Floats | Ints, numbers: Floats) -> RunningStats:
     """Return the statistics after further numbers; NaN is ignored."""
     exists = np.isfinite(numbers)
     marks, numbers = marks[exists], numbers[exists]
     if not numbers.size:
         return before
-    first = -before.many % before.every
-    every = before.every
-    selection = np.concatenate([before.selection, np.stack([marks, numbers], 1)[first::every]])
+    first, stride = -before.many % before.every, before.every
+    selection = np.concatenate([before.selection, np.stack([marks, numbers], 1)[first::stride]])
     while len(selection) > MOST:
-        selection, every = selection[::2], 2 * every
+        selection, stride = selection[::2], 2 * stride
     low, high = int(np.argmin(numbers)), int(np.argmax(numbers))
     out = before._replace(
-        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=every, selection=selection
+        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=stride, selection=selection
     )
     if numbers[low] < out.least:
         out = out._replace(least=float(numbers[low]), least_mark=float(marks[low]))

@@ -21,7 +21,7 @@ from pcbench.errors import UserError
 from pcbench.recordings import readers
 from pcbench.recordings.lags import lags_of
 from pcbench.recordings.log import Batch, Floats, Log, Rows
-from pcbench.recordings.running_stats import Spread, add, largest, slope
+from pcbench.recordings.running_stats import RunningStats, add, largest, slope
 from pcbench.recordings.times import TimeColumn, require_one_clock, require_sound
 
 if TYPE_CHECKING:
@@ -34,20 +34,20 @@ JUMP = 10.0  # in interquartile ranges of the delays
 HELD = 0.2  # share of repeated values above which this is reported
 
 
-class Channel(NamedTuple):
+class ChannelStats(NamedTuple):
     """Statistics of one channel, with rows of the log. Tops are (size, time [s], row), the largest first."""
 
-    stamps: Spread = Spread()  # [s] by row
-    arrivals: Spread = Spread()  # [s] by row
-    intervals: Spread = Spread()  # by timestamp
-    delays: Spread = Spread()  # by timestamp
-    out_of_order: Spread = Spread()  # timestamps by row
-    doubled: Spread = Spread()  # timestamps by row
+    stamps: RunningStats = RunningStats()  # [s] by row
+    arrivals: RunningStats = RunningStats()  # [s] by row
+    intervals: RunningStats = RunningStats()  # by timestamp
+    delays: RunningStats = RunningStats()  # by timestamp
+    out_of_order: RunningStats = RunningStats()  # timestamps by row
+    doubled: RunningStats = RunningStats()  # timestamps by row
     last_delay: float = np.nan  # delay of the previous sample
     drift: Floats = np.zeros(6)  # sums for a line
     longest: Floats = np.zeros((0, 3))  # intervals
     steps: Floats = np.zeros((0, 3))  # largest changes from one delay to the next
-    values: Spread = Spread()  # by row
+    values: RunningStats = RunningStats()  # by row
     repeated: int = 0
     last_value: float = np.nan  # value of the previous row
     stds: int = 0  # samples with a stated standard deviation
@@ -72,13 +72,13 @@ class Channel(NamedTuple):
 class Survey(NamedTuple):
     """Statistics of a recording."""
 
-    channels: dict[str, Channel]
+    channels: dict[str, ChannelStats]
     rows: int
     start: float  # [s] earliest timestamp
     end: float  # [s] latest timestamp or arrival
     behind: float  # [s] how far a row's timestamp may be behind an earlier row's
     grid: Floats  # [K] s, some of the timestamps and arrivals, minus the start
-    tables: dict[str, Spread]  # times of inputs and truth, if recorded
+    tables: dict[str, RunningStats]  # times of inputs and truth, if recorded
 
     def with_std(self) -> list[str]:
         """Return the channels whose samples have stated standard deviations."""
@@ -87,21 +87,21 @@ class Survey(NamedTuple):
 
 def survey(log: Log) -> Survey:
     """Read a log once; raise UserError for an invalid row, and for times of two clocks."""
-    every = [Channel() for _ in log.channels]
-    behind, newest, grid = 0.0, -np.inf, Spread()
+    stats = [ChannelStats() for _ in log.channels]
+    behind, newest, grid = 0.0, -np.inf, RunningStats()
     for batch in log.measurements():
         if not len(batch.row):
             continue
         require_sound(log, batch)
         for c in np.unique(batch.channel):
-            every[c] = _update(every[c], batch.select(batch.channel == c))
+            stats[c] = _update(stats[c], batch.select(batch.channel == c))
         latest = np.maximum.accumulate(np.maximum(batch.sampled, newest))
         behind, newest = max(behind, float((latest - batch.sampled).max())), float(latest[-1])
         times = np.concatenate([batch.sampled, batch.arrived])
         grid = add(grid, times, times)
     if not grid.many:
         raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
-    channels, tables = dict(zip(log.channels, every, strict=True)), {}
+    channels, tables = dict(zip(log.channels, stats, strict=True)), {}
     for name, c in channels.items():
         if c.stds and c.without_std is not None:
             raise UserError(
@@ -110,23 +110,23 @@ def survey(log: Log) -> Survey:
             )
     for name, table in (("inputs", log.inputs), ("truth", log.truth)):
         if table:
-            tables[name] = Spread()
+            tables[name] = RunningStats()
             for part in table.read():
                 tables[name] = add(tables[name], part.row, part.t)
-    stamps, arrivals = (
+    stamp_fix, arrival_fix = (
         "convert its stamps to the clock of the other channels",
         "convert the arrivals to the clock of the stamps, or leave them out and give a delay",
     )
-    columns = [TimeColumn(f"stamps of channel {name}", stamps, c.stamps) for name, c in channels.items()]
-    columns += [TimeColumn(f"arrivals of channel {name}", arrivals, c.arrivals) for name, c in channels.items()]
+    columns = [TimeColumn(f"stamps of channel {name}", stamp_fix, c.stamps) for name, c in channels.items()]
+    columns += [TimeColumn(f"arrivals of channel {name}", arrival_fix, c.arrivals) for name, c in channels.items()]
     for name, spread in tables.items():
         fix = f"convert the times of the {name} to the clock of the stamps"
         columns.append(TimeColumn(f"times of the {name}", fix, spread))
     require_one_clock(log.name, columns)
-    start = min(c.stamps.least for c in every)
+    start = min(c.stamps.least for c in stats)
     return Survey(
         channels=channels,
-        rows=sum(c.stamps.many for c in every),
+        rows=sum(c.stamps.many for c in stats),
         start=start,
         end=max(grid.most, start),
         behind=behind,
@@ -135,11 +135,11 @@ def survey(log: Log) -> Survey:
     )
 
 
-def _update(c: Channel, batch: Batch) -> Channel:
+def _update(c: ChannelStats, batch: Batch) -> ChannelStats:
     """Return the statistics of a channel after further samples."""
     arrived, order = ~np.isnan(batch.arrived), np.argsort(batch.sampled, kind="stable")
     at, delay = batch.sampled[arrived], (batch.arrived - batch.sampled)[arrived]
-    stamps, rows, newest = batch.sampled[order], batch.row[order], c.stamps.most
+    stamps, sorted_rows, newest = batch.sampled[order], batch.row[order], c.stamps.most
     steps = stamps - np.concatenate([[newest], stamps[:-1]])
     forward, is_duplicate = np.isfinite(steps) & (steps > 0), steps == 0
     behind = batch.sampled < np.maximum.accumulate(np.concatenate([[newest], batch.sampled[:-1]]))
@@ -150,16 +150,16 @@ def _update(c: Channel, batch: Batch) -> Channel:
     has_std = ~np.isnan(batch.std) if len(batch.std) else np.zeros(len(batch.row), bool)
     row_without_std = None if has_std.all() else int(batch.row[np.argmin(has_std)])
     sums = [x.size, x.sum(), delay.sum(), (x * x).sum(), (x * delay).sum(), (delay * delay).sum()]
-    return Channel(
+    return ChannelStats(
         stamps=stamp_stats,
         arrivals=add(c.arrivals, batch.row, batch.arrived),
         intervals=add(c.intervals, stamps[forward], steps[forward]),
         delays=add(c.delays, at, delay),
         out_of_order=add(c.out_of_order, batch.row[behind], batch.sampled[behind]),
-        doubled=add(c.doubled, rows[is_duplicate], stamps[is_duplicate]),
+        doubled=add(c.doubled, sorted_rows[is_duplicate], stamps[is_duplicate]),
         last_delay=float(delay[-1]) if delay.size else c.last_delay,
         drift=c.drift + np.array(sums),
-        longest=largest(c.longest, steps[forward], stamps[forward], rows[forward]),
+        longest=largest(c.longest, steps[forward], stamps[forward], sorted_rows[forward]),
         steps=largest(c.steps, change[has_change], at[has_change], batch.row[arrived][has_change]),
         values=add(c.values, batch.row, batch.value),
         repeated=c.repeated + int((np.diff(measured, prepend=c.last_value) == 0).sum()),
@@ -178,8 +178,8 @@ def limit_truth(log: Log, stats: Survey, signals: list[str]) -> tuple[Log, Surve
     if log.truth is None:
         return log, stats, []
     out, table, times = [], log.truth, stats.tables["truth"]
-    if unknown := [name for name in table.names if name not in signals]:
-        out.append(f"truth: {', '.join(unknown)}: no state of the plant ({', '.join(signals)}); left out.")
+    if not_states := [name for name in table.names if name not in signals]:
+        out.append(f"truth: {', '.join(not_states)}: no state of the plant ({', '.join(signals)}); left out.")
     if not times.many:
         out.append(f"{log.name} has a truth without any value; errors are not computed.")
         return (
@@ -202,7 +202,7 @@ def limit_truth(log: Log, stats: Survey, signals: list[str]) -> tuple[Log, Surve
             inside = (low <= part.t) & (part.t <= high)
             yield Rows(part.t[inside], part.values[inside], part.row[inside])
 
-    inside = Spread()
+    inside = RunningStats()
     for part in read():
         inside = add(inside, part.row, part.t)
     out.append(f"truth before {low:.6g} s and after {high:.6g} s is left out: there are no measurements.")
@@ -219,7 +219,7 @@ def require_units(log: Log, expected: list[str]) -> None:
             )
 
 
-def held_values(log: Survey) -> list[str]:
+def describe_held(log: Survey) -> list[str]:
     """Return a sentence for each channel whose value never changes, or is often repeated."""
     out = []
     for name, c in log.channels.items():
@@ -241,7 +241,7 @@ def channel_rows(log: Survey) -> list[dict[str, object]]:
     ]
 
 
-def _row(name: str, c: Channel) -> dict[str, object]:
+def _row(name: str, c: ChannelStats) -> dict[str, object]:
     interval, delay, gaps, jumps = c.intervals, c.delays, c.gaps(), c.jumps()
     p05, p50, p95 = delay.quantiles(0.05, 0.5, 0.95)
     drift, se = slope(c.drift)

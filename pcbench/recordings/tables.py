@@ -116,12 +116,11 @@ def _file(path: Path | Frames, kind: str) -> Path | Frame | None:
 
 def _find_columns(path: Path | Frame, names: Sequence[str]) -> dict[str, str]:
     """Return the heads of a file's columns by name, including those of `names`."""
-    every = heads(path)
-    head_of = {
-        name: find_column(every, name, path.name)[0] for name in [name_and_unit(head)[0] for head in every] if name
-    }
+    header = heads(path)
+    column_names = [name_and_unit(head)[0] for head in header]
+    head_of = {name: find_column(header, name, path.name)[0] for name in column_names if name}
     for name in names:
-        find_column(every, name, path.name)
+        find_column(header, name, path.name)
     for name, head in head_of.items():
         if name_and_unit(head)[1] and name not in ("t", "sampled", "arrived"):
             raise UserError(
@@ -241,8 +240,8 @@ def batches(
 
 def columns(source: Source) -> Iterator[Columns]:
     """Yield parts of columns; empty cells are NaN. A field may omit its unit, or be a part of a column: `pose.position.x`."""
-    every = heads(source.path, source.csv)
-    paths = {field: find_column(every, field, source.place, field in source.times) for field in source.fields}
+    header = heads(source.path, source.csv)
+    paths = {field: find_column(header, field, source.place, field in source.times) for field in source.fields}
     for part in batches(source.path, sorted({head for head, _ in paths.values()}), options=source.csv):
         yield {
             name: column_of(part, head, source.where, inner, time=name in source.times, unit=source.unit)
@@ -254,7 +253,7 @@ def topics(source: Source) -> Iterator[Topic]:
     """Yield the one topic of a table: its columns, and the fields of structs."""
     with _convert_errors(source.path):
         if source.path.suffix.lower() == ".parquet":
-            types = [(each.name, each.type) for each in pq.read_schema(source.path)]
+            types = [(field.name, field.type) for field in pq.read_schema(source.path)]
         else:
             d = dialect(source.path, source.csv)
             types = list(zip(d.names, d.types, strict=True))
@@ -269,25 +268,26 @@ def topics(source: Source) -> Iterator[Topic]:
             types = [(f"{name}.{each.name}", each.type) for each in kind] + types
         elif any(is_kind(kind) for is_kind in (*TIMES, pa.types.is_date)):
             times.append(name)
-        elif any(holds(kind) for holds in NUMBERS):
+        elif any(is_kind(kind) for is_kind in NUMBERS):
             numbers.append(name)
         elif pa.types.is_string(kind) or pa.types.is_large_string(kind):
             words.append(name)
     yield Topic("", "table", numbers[:MOST], times, words=words, problem=problem)
 
 
-def find_column(every: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
+def find_column(header: Sequence[str], field: str, where: str, time: bool = False) -> tuple[str, str]:
     """Return the head of a field's column, and the path within it; raise UserError for none, or several."""
-    bare = [name_and_unit(head)[0] for head in every]
+    names = [name_and_unit(head)[0] for head in header]
     parts = field.split(".")
-    for many in range(len(parts), 0, -1):
-        name = ".".join(parts[:many])
-        matches = [head for head in every if head == name] or [h for h, b in zip(every, bare, strict=True) if b == name]
+    for length in range(len(parts), 0, -1):
+        name = ".".join(parts[:length])
+        matches = [head for head in header if head == name]
+        matches = matches or [h for h, b in zip(header, names, strict=True) if b == name]
         if len(matches) > 1:
             raise UserError(f"{where}: got {len(matches)} columns '{name}', expected one; rename them.")
         if matches:
-            return matches[0], ".".join(parts[many:])
-    raise unknown(where, f"column{NO_TIME if time else ''} here", field, every)
+            return matches[0], ".".join(parts[length:])
+    raise unknown(where, f"column{NO_TIME if time else ''} here", field, header)
 
 
 def column_of(
@@ -316,7 +316,7 @@ def column_of(
             )
         integer_type = pa.int32() if pa.types.is_time32(column.type) else pa.int64()
         column, unit = pc.cast(column, integer_type), column.type.unit
-    if not any(holds(column.type) for holds in NUMBERS):
+    if not any(is_kind(column.type) for is_kind in NUMBERS):
         got = f"'{short(str(column[0]))}'" if len(column) and isinstance(column[0].as_py(), str) else column.type
         times = ", or times such as 2026-03-01T12:00:00.050" if time else ""
         raise UserError(f"{where}: got {got}, expected numbers{times}; correct the column.")

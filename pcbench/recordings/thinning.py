@@ -57,8 +57,8 @@ def delays_of(log: Log, channels: Sequence[str]) -> dict[str, Floats]:
                 f"--delay: got {log.name} with the channels {', '.join(log.channels)}, expected {name} among them; rename one."
             )
         i = log.channels.index(name) if name in log.channels else 0
-        late = [(b.arrived - b.sampled)[b.channel == i] for b in batches]
-        out[name] = np.concatenate([np.zeros(0), *late])
+        delays = [(b.arrived - b.sampled)[b.channel == i] for b in batches]
+        out[name] = np.concatenate([np.zeros(0), *delays])
         if not np.isfinite(out[name]).any():
             raise UserError(
                 f"--delay: got {log.name}, in which nothing of {name} arrived, expected samples that did; give another."

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.recordings.log import Batch, Floats, Ints, Log, Rows
-from pcbench.recordings.running_stats import Spread
+from pcbench.recordings.running_stats import RunningStats
 
 NEVER = 2**40  # the tick of a lost sample
 SMALL = 0.01  # relative to a median interval: negligible rounding
@@ -63,14 +63,14 @@ def require_sound(log: Log, batch: Batch) -> None:
     A row is invalid without a number or a time, if it arrived before it was sampled, or if its stated noise is not positive.
     """
     above_0 = np.isfinite(batch.std) & (batch.std > 0) | np.isnan(batch.std) if len(batch.std) else np.array([True])
-    for bad, got, expected in (
+    for is_invalid, got, expected in (
         (~np.isfinite(batch.sampled), "a sample without a time", "the second at which it was taken in 'sampled'"),
         (~np.isfinite(batch.value) & ~np.isnan(batch.arrived), "the value {value}", "a finite number"),
         (batch.arrived < batch.sampled, "a sample that arrived {early:.6g} s before it was sampled", "no such row"),
         (~above_0, "a standard deviation or variance that is empty, 0, below 0 or infinite", "a number above 0"),
     ):
-        if bad.any():
-            i = int(np.argmax(bad))
+        if is_invalid.any():
+            i = int(np.argmax(is_invalid))
             early = batch.sampled[i] - batch.arrived[i]
             place = f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}"
             if early > HOUR:
@@ -102,7 +102,7 @@ class TimeColumn(NamedTuple):
 
     name: str  # in messages
     fix: str  # how to convert it, in messages
-    times: Spread  # marked by row
+    times: RunningStats  # marked by row
 
 
 def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
@@ -112,18 +112,18 @@ def require_one_clock(where: str, columns: Sequence[TimeColumn]) -> None:
     times = np.unique(np.concatenate([*([c.times.least, c.times.most] for c in columns), *selections]))
     gaps = np.diff(times)
     order = np.argsort(-gaps, kind="stable")
-    for i, at in enumerate(order[:GAPS]):
-        before, after = float(times[at]), float(times[at + 1])
+    for i, gap_index in enumerate(order[:GAPS]):
+        before, after = float(times[gap_index]), float(times[gap_index + 1])
         mixed = [c for c in columns if c.times.least <= before and c.times.most >= after]
-        if gaps[at] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if mixed else HOUR):
+        if gaps[gap_index] <= max(FACTOR * gaps[order[i + 1 :]].sum(), DAY if mixed else HOUR):
             continue
         far = format_duration(after - before)
         if mixed:  # most times of the log are right
-            s, early = mixed[0].times, np.concatenate(selections) <= before
-            few = 2 * early.sum() <= len(early)
-            time, row, side = (s.least, s.least_mark, "before") if few else (s.most, s.most_mark, "after")
+            s, is_before = mixed[0].times, np.concatenate(selections) <= before
+            few = 2 * is_before.sum() <= len(is_before)
+            wrong, row, side = (s.least, s.least_mark, "before") if few else (s.most, s.most_mark, "after")
             raise UserError(
-                f"{where}: row {int(row)} has {time:.10g} s among the {mixed[0].name}, {far} {side} the other times of the "
+                f"{where}: row {int(row)} has {wrong:.10g} s among the {mixed[0].name}, {far} {side} the other times of the "
                 "log, so it is of another clock; remove that row or convert its time."
             )
         first, last = ([c for c in columns if (c.times.most <= before) == side] for side in (True, False))

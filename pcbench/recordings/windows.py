@@ -20,7 +20,7 @@ from pcbench.recordings.times import NEVER, Clock, require_sound
 Ticks = NDArray[np.int32]
 
 
-class Stretch(NamedTuple):
+class Block(NamedTuple):
     """Ticks first .. end - 1 of a log.
 
     Columns of samples: channel, taken [tick], arrives [tick] (not before taken; NEVER: lost), value, row, std (of the noise;
@@ -73,12 +73,12 @@ def cut(parts: Iterator[pd.DataFrame], length: int, last: int, behind: int = 0) 
             pending.append(part)
             newest = np.fmax(newest, part.index.max())
         rows = pd.concat(pending)
-        here = rows.index < first + length
-        pending = [rows[~here]]
-        yield first, rows[here]
+        in_block = rows.index < first + length
+        pending = [rows[~in_block]]
+        yield first, rows[in_block]
 
 
-def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) -> Iterator[Stretch]:
+def blocks(log: Log, survey: Survey, clock: Clock, length: int, last: int) -> Iterator[Block]:
     """Yield a log in blocks of `length` ticks, the last one with tick `last` in it.
 
     Raises UserError if two samples of a channel are at one tick. Samples taken before tick 0 or after `last` are left out.
@@ -94,7 +94,7 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
                 part = pd.DataFrame(columns | {"std": std, "row": batch.row, "taken": ticks}, index=ticks)
                 yield part[(ticks >= 0) & (ticks <= last)]
 
-    numbers, packets, under_way = np.zeros(len(log.channels), np.int64), 0, None
+    n_samples, n_packets, in_flight = np.zeros(len(log.channels), np.int64), 0, None
     for first, rows in cut(parts(), length, last, int(survey.behind / clock.dt) + 2):
         end, samples = first + length, rows.sort_values(["taken", "channel"], kind="stable")
         is_duplicate = samples.duplicated(["taken", "channel"]).to_numpy()
@@ -105,36 +105,36 @@ def stretches(log: Log, survey: Survey, clock: Clock, length: int, last: int) ->
                 f"tick of {clock.dt:g} s as row {before.row:.0f}, expected one at most; leave the doubled sample out, or take "
                 "a shorter tick."
             )
-        number = numbers[samples.channel] + samples.groupby("channel").cumcount()
-        packet = packets - 1 + (samples.taken.diff() != 0).cumsum()
+        number = n_samples[samples.channel] + samples.groupby("channel").cumcount()
+        packet = n_packets - 1 + (samples.taken.diff() != 0).cumsum()
         samples = samples.assign(number=number, packet=packet)
-        numbers += np.bincount(samples.channel, minlength=len(numbers))
-        packets += samples.taken.nunique()
-        under_way = samples if under_way is None else pd.concat([under_way, samples])
-        now = under_way.arrives < end
-        arrivals = under_way[now].sort_values(["arrives", "taken", "channel"], kind="stable")
-        under_way = under_way[~now & (under_way.arrives < NEVER)]
-        yield Stretch(first, end, samples, arrivals)
+        n_samples += np.bincount(samples.channel, minlength=len(n_samples))
+        n_packets += samples.taken.nunique()
+        in_flight = samples if in_flight is None else pd.concat([in_flight, samples])
+        has_arrived = in_flight.arrives < end
+        arrivals = in_flight[has_arrived].sort_values(["arrives", "taken", "channel"], kind="stable")
+        in_flight = in_flight[~has_arrived & (in_flight.arrives < NEVER)]
+        yield Block(first, end, samples, arrivals)
 
 
 def window(
-    s: Stretch, channels: int, slots: int, last_arrival: int, variances: Floats | None = None
+    s: Block, channels: int, slots: int, last_arrival: int, variances: Floats | None = None
 ) -> tuple[Window, int]:
     """Return the window of a block, and the last tick with an arrival, given the previous one.
 
     `variances` [q] are the assumed noise variances, for a log that states the noise of its samples.
     """
-    many, shape = s.end - s.first, (s.end - s.first, slots)
+    n_ticks, shape = s.end - s.first, (s.end - s.first, slots)
     out = Window(
-        sense=np.full(many, -1, np.int32),
-        sampled=np.zeros((many, channels), bool),
+        sense=np.full(n_ticks, -1, np.int32),
+        sampled=np.zeros((n_ticks, channels), bool),
         arrive=np.full(shape, -1, np.int32),
         sampling_ticks=np.zeros(shape, np.int32),
         mask=np.zeros((*shape, channels), bool),
         number=np.full((*shape, channels), -1, np.int32),
         value=np.zeros((*shape, channels)),
         ticks_since_arrival=np.zeros(shape, np.int32),
-        event=np.zeros(many, bool),
+        event=np.zeros(n_ticks, bool),
     )
     out.sense[s.samples.taken - s.first] = s.samples.packet
     out.sampled[s.samples.taken - s.first, s.samples.channel] = True
@@ -148,29 +148,29 @@ def window(
         sample_ratio, ratio = np.square(s.arrivals["std"]) / variances[channel], np.ones((*shape, channels))
         ratio[tick, slot, channel] = np.where(np.isnan(sample_ratio), 1.0, sample_ratio)
         out = out._replace(variance_ratio=ratio)
-    when, place = np.unique(s.arrivals.arrives, return_inverse=True)
-    out.ticks_since_arrival[tick, slot] = np.diff(when, prepend=last_arrival)[place]
+    arrival_ticks, index = np.unique(s.arrivals.arrives, return_inverse=True)
+    out.ticks_since_arrival[tick, slot] = np.diff(arrival_ticks, prepend=last_arrival)[index]
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
-    return out, int(when[-1]) if when.size else last_arrival
+    return out, int(arrival_ticks[-1]) if arrival_ticks.size else last_arrival
 
 
-def slots_of(s: Stretch) -> Ints:
+def slots_of(s: Block) -> Ints:
     """Return the slot of every sample that arrives in a block: samples of one packet share a slot, the oldest is first."""
     by_tick = s.arrivals.groupby("arrives").packet
     return (by_tick.rank("dense") - 1).to_numpy(np.int64)
 
 
-def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
+def with_block(room: Room, s: Block, latest: int) -> Room:
     """Return the room after one more block; `latest` bounds the age [ticks] of all samples of the log."""
     in_flight = s.samples[s.samples.arrives < NEVER][["taken", "arrives", "packet"]].to_numpy()
     packets = np.unique(np.concatenate([room.recent, in_flight]), axis=0)
-    sampling, arrival, number = packets.T
+    sampling, arrival, packet = packets.T
     first = s.samples.drop_duplicates("taken")  # one sample per packet
     gaps = np.diff(first.taken, prepend=room.newest)
     is_longer = int(gaps.max(initial=0)) > room.longest_gap
     # from each packet to the newest taken by the time it arrives, inclusive
     place = np.searchsorted(first.taken, arrival, side="right") - 1
-    by_then = np.where(place >= 0, first.packet.to_numpy()[place], number) if len(first) else number
+    by_then = np.where(place >= 0, first.packet.to_numpy()[place], packet) if len(first) else packet
     # newer packets that arrive before an older one, as `common_times.max_oosm_lag`
     oosm_lag, shift = np.zeros(len(packets), int), 1
     while shift < len(packets) and (sampling[shift:] < arrival[:-shift]).any():
@@ -178,7 +178,7 @@ def with_stretch(room: Room, s: Stretch, latest: int) -> Room:
         shift += 1
     return Room(
         slots=max(room.slots, int(slots_of(s).max(initial=0)) + 1),
-        flight=max(room.flight, int((by_then - number).max(initial=0)) + 1),
+        flight=max(room.flight, int((by_then - packet).max(initial=0)) + 1),
         oosm_lag=max(room.oosm_lag, int(oosm_lag.max(initial=0))),
         latest=max(room.latest, int((arrival - sampling).max(initial=0))),
         longest_gap=max(room.longest_gap, int(gaps.max(initial=0))),

@@ -13,7 +13,7 @@ import pcbench
 from pcbench.errors import UserError
 from pcbench.playback.setup import open_playback
 from pcbench.recordings import readers, times
-from pcbench.recordings.running_stats import Spread, add
+from pcbench.recordings.running_stats import RunningStats, add
 from pcbench.recordings.survey import survey
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
@@ -138,7 +138,9 @@ def test_a_gap_is_found_wherever_it_is(seed):
 
     def moved(shift):
         every = [c + shift * (i == far) for i, c in enumerate(columns)]
-        return [times.TimeColumn(str(i), "fix", add(Spread(), np.arange(1.0, 51.0), c)) for i, c in enumerate(every)]
+        return [
+            times.TimeColumn(str(i), "fix", add(RunningStats(), np.arange(1.0, 51.0), c)) for i, c in enumerate(every)
+        ]
 
     times.require_one_clock("log", moved(0.0))
     times.require_one_clock("log", moved(times.HOUR * 0.99))

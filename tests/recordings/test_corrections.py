@@ -14,7 +14,7 @@ from pcbench.errors import UserError
 from pcbench.recordings import readers, tables
 from pcbench.recordings.corrections import Changes, toml_with_offsets
 from pcbench.recordings.log import Batch
-from pcbench.recordings.survey import held_values, survey
+from pcbench.recordings.survey import describe_held, survey
 
 
 def read(log):
@@ -152,8 +152,8 @@ def test_offsets_of_tables_are_a_toml_that_names_them(flight, monkeypatch):
 def test_constant_and_held_values_are_counted(flight):
     columns = plain()
     rows(flight / "constant", columns | {"value": np.ones(40)})
-    assert held_values(survey(readers.open_log(flight / "constant"))) == ["y1 never changes: all of 40 values are 1."]
-    (said,) = held_values(survey(readers.open_log(flight / "flight")))
+    assert describe_held(survey(readers.open_log(flight / "constant"))) == ["y1 never changes: all of 40 values are 1."]
+    (said,) = describe_held(survey(readers.open_log(flight / "flight")))
     assert said.startswith("y2: 30 of 40 values repeat the one before")
     table = pcbench.info(flight / "flight").set_index("channel")
     assert table.repeated.tolist() == [0, 30]

@@ -98,7 +98,7 @@ def test_an_empty_log_is_one_sentence():
 
 def test_a_selection_of_many_numbers_is_even():
     numbers = np.random.default_rng(1).normal(size=200_000)
-    found = running_stats.Spread()
+    found = running_stats.RunningStats()
     for part in np.array_split(numbers, 37):
         found = running_stats.add(found, part, part)
     assert (found.many, found.least, found.most) == (200_000, numbers.min(), numbers.max())

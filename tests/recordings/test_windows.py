@@ -7,7 +7,7 @@ from logged import log_of
 from pcbench.errors import UserError
 from pcbench.recordings.survey import survey
 from pcbench.recordings.times import Clock, better_dt, rounding
-from pcbench.recordings.windows import Room, stretches, window, with_stretch
+from pcbench.recordings.windows import Room, blocks, window, with_block
 from pcbench.simulation.schedule import common_times
 
 TICKS, CHANNELS = 120, 2
@@ -30,8 +30,8 @@ def drawn(seed):
 
 def laid(log, found, length, slots):
     parts, arrived = [], 0
-    for stretch in stretches(log, found, CLOCK, length, TICKS):
-        part, arrived = window(stretch, CHANNELS, slots, arrived)
+    for block in blocks(log, found, CLOCK, length, TICKS):
+        part, arrived = window(block, CHANNELS, slots, arrived)
         assert part.variance_ratio is None  # the log states no noise of its own
         parts.append(part[:-1])
     return [np.concatenate(columns)[: TICKS + 1] for columns in zip(*parts, strict=True)]
@@ -71,8 +71,8 @@ def test_windows_are_the_schedule_of_the_same_samples(seed, length, order):
 def test_the_room_of_a_log_is_that_of_the_schedule(seed, length):
     samples, scheduled = drawn(seed)
     log, room = log_of(samples), Room()
-    for stretch in stretches(log, survey(log), CLOCK, length, TICKS):
-        room = with_stretch(room, stretch, 31)
+    for block in blocks(log, survey(log), CLOCK, length, TICKS):
+        room = with_block(room, block, 31)
     there = [s for s in scheduled if s.arrives < common_times.NEVER]
     assert room.slots == common_times.schedule(scheduled, TICKS, CHANNELS).arrive.shape[1]
     assert room.oosm_lag == common_times.max_oosm_lag(there)
@@ -85,7 +85,7 @@ def test_the_room_of_a_log_is_that_of_the_schedule(seed, length):
 def test_two_samples_of_a_channel_on_one_tick_are_one_sentence_with_both_rows():
     log = log_of([(0, 1.0, 2), (0, 5.2, 7), (0, 4.9, 7)], channels=1)
     with pytest.raises(UserError, match=r"row 3 of channel y1: got a sample on the same tick of 1 s as row 2"):
-        list(stretches(log, survey(log), CLOCK, 50, 20))
+        list(blocks(log, survey(log), CLOCK, 50, 20))
 
 
 def test_times_are_rounded_to_the_nearest_tick_and_the_largest_rounding_is_known():

@@ -10,7 +10,7 @@ import pandas as pd
 from pcbench import fields
 from pcbench.cli.render.tables import Column, Screen
 from pcbench.cli.render.tables import plain as number
-from pcbench.recordings.survey import held_values
+from pcbench.recordings.survey import describe_held
 from pcbench.statistics import Z95
 from pcbench.statistics.number_format import estimate
 
@@ -45,7 +45,7 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
             explanation = "±: half a 95 % interval, for independent delays"
             screen.say(f"{row['channel']}: clock drift {interval} ppm ({explanation}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
-    screen.say(*held_values(table.attrs["survey"]))
+    screen.say(*describe_held(table.attrs["survey"]))
     for lag in table.attrs["lags"]:
         screen.say(
             f"{lag.second} is {lag.lag:.4g} s later than {lag.first} (95 % interval {lag.low:.4g} to {lag.high:.4g} s, "
