@@ -116,7 +116,9 @@ def run(
         from pcbench.report import figures
 
         options = figures.FigureOptions(metric=metric, signals=signals)
-        figures.places(result, list(result.study.scenarios), options)  # needs the user's code, which is loaded now
+        figures.scenario_data(
+            result, list(result.study.scenarios), options
+        )  # needs the user's code, which is loaded now
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": outline.name, "out": into, "provenance": result.provenance, "stats": stats}

@@ -42,9 +42,9 @@ def transforms_of(result: Result, scenario: str | None = None, cell: int = 0) ->
     out: dict[str, Floats] = {}
     for observer, group in runs.groupby(runs.observer.astype(str), sort=False):
         nees, dof = group.nees.to_numpy(float), group.nees_dof.to_numpy(float)
-        fine = np.isfinite(nees) & (dof > 0)
-        if fine.any():
-            out[str(observer)] = np.sort(gammainc(dof[fine] / 2, nees[fine] * dof[fine] / 2))
+        is_valid = np.isfinite(nees) & (dof > 0)
+        if is_valid.any():
+            out[str(observer)] = np.sort(gammainc(dof[is_valid] / 2, nees[is_valid] * dof[is_valid] / 2))
     return out
 
 

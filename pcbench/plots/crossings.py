@@ -50,18 +50,18 @@ def crossing(
         ends.append(ratios.loc[below, ["ratio", "ci_low", "ci_high"]].to_numpy(float))
     with np.errstate(divide="ignore", invalid="ignore"):
         mean, low, high = np.log(np.array(ends)).T
-        where = np.log(value)
-    points = [_zero(where, line) for line in (mean, high, low)]
+        log_value = np.log(value)
+    points = [_zero(log_value, line) for line in (mean, high, low)]
     return None if None in points else Crossing(below, above, *np.exp(np.array(points, float)))
 
 
-def _zero(where: Floats, line: Floats) -> float | None:
+def _zero(log_value: Floats, line: Floats) -> float | None:
     """Return the last place at which a line goes from below 0 to above; None if it does not, or on its way to infinity."""
-    up = np.flatnonzero((line[:-1] < 0) & (line[1:] > 0) & np.isfinite(where[1:]))
+    up = np.flatnonzero((line[:-1] < 0) & (line[1:] > 0) & np.isfinite(log_value[1:]))
     if not len(up):
         return None
     i = up[-1]
-    return float(where[i] - line[i] * (where[i + 1] - where[i]) / (line[i + 1] - line[i]))
+    return float(log_value[i] - line[i] * (log_value[i + 1] - log_value[i]) / (line[i + 1] - line[i]))
 
 
 def changes(

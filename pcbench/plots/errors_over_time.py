@@ -67,11 +67,10 @@ def draw_bands(
     arrivals = run.t[run.kind == "arrival"].to_numpy()
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
-    names = frames.titles(result, stats)
-    at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(run, seed)])
+    values = frames.describe_values(result, stats, cell)
+    title = ", ".join([title_of_scenario(result.study, scenario), *values, one_run.describe_seeds(run, seed)])
     title = f"{with_unit('|error| of ' + signal.replace('_', ' '), unit)}: {title}"
-    spread = sizes_in_picture(part[part.series.isin([*look])])
+    sizes = sizes_in_picture(part[part.series.isin([*look])])
     keys = [
         Line2D([], [], color=SOFT, linewidth=1.6, label="median"),
         Patch(color=SOFT, alpha=0.45, linewidth=0, label="50 %"),
@@ -85,7 +84,7 @@ def draw_bands(
     with sheet(paper, title, len(look), columns, height=TALL, keys=keys) as (figure, axes):
         for i, (ax, (observer, line)) in enumerate(zip(axes, look.items(), strict=True)):
             kinds = {str(kind): rows for kind, rows in part[part.series == observer].groupby("kind")}
-            _draw_panel(ax, kinds, str(line["color"]), spread, arrivals)
+            _draw_panel(ax, kinds, str(line["color"]), sizes, arrivals)
             ax.set(title=observer, xlabel="t [s]" if i + columns >= len(look) else "")
     return figure
 
@@ -101,16 +100,16 @@ def sizes_in_picture(part: pd.DataFrame) -> pd.Series:
     return sizes.value.clip(DEPTH * best, FAR * best)
 
 
-def _draw_panel(ax: Axes, kinds: dict[str, pd.DataFrame], colour: str, spread: pd.Series, arrivals: np.ndarray) -> None:
-    floor = float(spread.min())
+def _draw_panel(ax: Axes, kinds: dict[str, pd.DataFrame], colour: str, sizes: pd.Series, arrivals: np.ndarray) -> None:
+    floor = float(sizes.min())
     t = kinds[one_run.MEDIAN].t.to_numpy()
     step = ceil(len(t) / POINTS)
     set_limits(ax, "x", 0.0, float(t.max()))
-    set_range(ax, "y", spread, log=True)
-    size, t = {kind: np.maximum(kinds[kind].value.to_numpy()[::step], floor) for kind in one_run.SIZES}, t[::step]
+    set_range(ax, "y", sizes, log=True)
+    quantiles, t = {kind: np.maximum(kinds[kind].value.to_numpy()[::step], floor) for kind in one_run.SIZES}, t[::step]
     for low, high, alpha in (("abs_p05", "abs_p95", 0.2), ("abs_p25", "abs_p75", 0.35)):
-        ax.fill_between(t, size[low], size[high], color=colour, alpha=alpha, linewidth=0)
-    ax.plot(t, size[one_run.MEDIAN], color=colour, linewidth=1.4)
+        ax.fill_between(t, quantiles[low], quantiles[high], color=colour, alpha=alpha, linewidth=0)
+    ax.plot(t, quantiles[one_run.MEDIAN], color=colour, linewidth=1.4)
     if "sigma" in kinds:
         sigma = kinds["sigma"].iloc[::step]
         ax.plot(sigma.t, np.maximum(sigma.value, floor), color=INK, linestyle=DASHED, linewidth=0.9)

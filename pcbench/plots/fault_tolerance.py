@@ -11,20 +11,20 @@ from pcbench.plots.labels import about, describe_metric
 from pcbench.plots.layout import PAPER, Paper, is_positive, set_range, set_values, sheet
 from pcbench.plots.palette import SOFT, styles
 
-ALONE = "model-only"  # the model alone
+MODEL_ONLY = "model-only"
 BESIDE = 2  # panels
 
 
-def part_of_alone(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
+def ratio_to_model_only(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
     """Return axis, value, observer, part: the mean of a metric divided by that of model-only, for numeric axes."""
     stats = frames.rows(result, scenario, signal, metric)
-    alone = stats[stats.observer == ALONE].set_index("cell")["mean"]
-    at, out = frames.values_at(stats, int(stats.cell.min())), []
+    alone = stats[stats.observer == MODEL_ONLY].set_index("cell")["mean"]
+    nominal, out = frames.values_at(stats, int(stats.cell.min())), []
     for axis in frames.varying_axes(stats):
-        part = frames.fix_axes(stats, [axis], {a: v for a, v in at.items() if a != axis})
+        part = frames.fix_axes(stats, [axis], {a: v for a, v in nominal.items() if a != axis})
         if any(isinstance(value, str) for value in part[axis]):
             continue
-        rows = part[part.observer != ALONE]
+        rows = part[part.observer != MODEL_ONLY]
         ratio = rows["mean"].to_numpy() / alone.loc[rows.cell].to_numpy()
         out.append(pd.DataFrame({"axis": axis, "value": rows[axis], "observer": rows.observer, "part": ratio}))
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame(columns=["axis", "value", "observer", "part"])
@@ -71,22 +71,22 @@ def bearing(
     Raises UserError unless the study has `vary = "one-at-a-time"` and the observer `model-only`.
     """
     stats = frames.rows(result, scenario, signal, metric)
-    if result.study.vary != "one-at-a-time" or ALONE not in set(stats.observer):
+    if result.study.vary != "one-at-a-time" or MODEL_ONLY not in set(stats.observer):
         raise UserError(
             f'bearing of {result.study.name}: got vary = "{result.study.vary}" and observers '
-            f'{", ".join(dict.fromkeys(stats.observer))}, expected vary = "one-at-a-time" and {ALONE} among them.'
+            f'{", ".join(dict.fromkeys(stats.observer))}, expected vary = "one-at-a-time" and {MODEL_ONLY} among them.'
         )
-    parts = part_of_alone(result, stats.scenario.iloc[0], stats.signal.iloc[0], metric)
+    parts = ratio_to_model_only(result, stats.scenario.iloc[0], stats.signal.iloc[0], metric)
     look = styles(parts.observer)
     axes = list(dict.fromkeys(parts.axis))
     columns = min(BESIDE, len(axes))
-    words = f"{describe_metric(metric, stats.signal.iloc[0])} divided by that of {ALONE} [-]"
+    words = f"{describe_metric(metric, stats.signal.iloc[0])} divided by that of {MODEL_ONLY} [-]"
     with sheet(paper, f"{words}: {about(result, stats, {})}", len(axes), columns, height=1.1) as (figure, panels):
         for ax, name in zip(panels, axes, strict=True):
             rows = parts[parts.axis == name].sort_values("value")
             place = set_values(ax, "x", list(dict.fromkeys(rows.value)), frames.INFINITE.get(name, "∞"))
             set_range(ax, "y", [*parts.part, 1.0], is_positive(parts.part))
-            ax.set_xlabel(frames.label(name, frames.titles(result, stats)))
+            ax.set_xlabel(frames.label(name, frames.axis_titles(result, stats)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for observer, style in look.items():
                 line = rows[rows.observer == observer]

@@ -25,16 +25,16 @@ from pcbench.statistics.metric_matrix import OF_RUN, SIGNED
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import scenarios_of
 
-METRIC = "steady_rmse"  # by which observers are ranked, unless said otherwise
+METRIC = "steady_rmse"  # default metric that ranks observers
 WORDY = 24  # letters of an axis' values, from which on it goes upwards
-FIRST = 4  # runs, of which the first interval is
+FIRST = 4  # runs of the first interval
 POINTS = 100  # of a distribution
 INFINITE = {f.name: f.infinite for f in FIELDS if f.infinite}  # what infinity means, by axis
-ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are one run
+ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are the same
 
 
 def scenario_of(result: Result, scenario: str | None) -> str:
-    """Return the scenario that is meant (None: the first); raise UserError for another word."""
+    """Return the scenario of this name (None: the first); raise UserError for an unknown one."""
     names = result.scenarios
     if scenario is not None and scenario not in names:
         raise unknown(f"study {result.study.name}", "scenario", scenario, names)
@@ -51,22 +51,22 @@ def signals_by_default(result: Result, scenario: str, metric: str = "") -> list[
 
 
 def select_signals(result: Result, scenario: str, signals: list[str] | None, metric: str = "") -> list[str]:
-    """Return the `signals` that a scenario has; of None those it is known by, of an empty list all.
+    """Return those of the `signals` that a scenario has; None: its default signals, empty list: all.
 
     Raises UserError for one that no scenario of the study has.
     """
     if signals is None:
         return signals_by_default(result, scenario, metric)
-    every, available = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
+    all_signals, available = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
-        if name not in every:
-            raise unknown("--signal", "signal of the study", name, every)
+        if name not in all_signals:
+            raise unknown("--signal", "signal of the study", name, all_signals)
     available = [s for s in available if s in signals] if signals else available
     return signals_by_default(result, scenario, metric) if available and metric in OF_RUN else available
 
 
 def signals_with_metric(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
-    """Return those of the `chosen` signals of a scenario that a metric ranks observers by."""
+    """Return those of the `signals` of a scenario that have a metric."""
     return [
         s
         for s in select_signals(result, scenario, signals, metric)
@@ -75,7 +75,7 @@ def signals_with_metric(result: Result, scenario: str, signals: list[str] | None
 
 
 def signal_of(result: Result, scenario: str, signal: str | None, metric: str = "") -> str:
-    """Return the signal that is meant (None: the first that is shown); raise UserError for another word."""
+    """Return the signal of this name (None: the first default signal); raise UserError for an unknown one."""
     names = result.signals(scenario)
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
@@ -118,17 +118,17 @@ def _cells(result: Result, part: pd.DataFrame) -> pd.DataFrame:
 def _split(result: Result, cells: pd.DataFrame, axis: str) -> tuple[list[Any], list[int]]:
     """Return the values of an axis as numbers or words, and the channels of which they are (none: all)."""
     column = [value.tolist() if isinstance(value, np.ndarray | np.generic) else value for value in cells[axis]]
-    many = next((len(value) for value in column if isinstance(value, list)), 0)
-    if not many:
+    n_channels = next((len(value) for value in column if isinstance(value, list)), 0)
+    if not n_channels:
         return column, []
-    each = [value if isinstance(value, list) else [value] * many for value in column]
-    channels = [i for i, values in enumerate(zip(*each, strict=True)) if len(set(values)) > 1]
-    channel_values = [[value[i] for i in channels] for value in each]
+    by_cell = [value if isinstance(value, list) else [value] * n_channels for value in column]
+    channels = [i for i, values in enumerate(zip(*by_cell, strict=True)) if len(set(values)) > 1]
+    channel_values = [[value[i] for i in channels] for value in by_cell]
     if channels and all(len(set(values)) == 1 for values in channel_values):
-        return [values[0] for values in channel_values], channels if len(channels) < many else []
+        return [values[0] for values in channel_values], channels if len(channels) < n_channels else []
     names = _channel_names(result, cells, axis)
-    subset = channels or range(many)
-    return [name_values([names[i] for i in subset], [layout.word(value[i]) for i in subset]) for value in each], []
+    subset = channels or range(n_channels)
+    return [name_values([names[i] for i in subset], [layout.word(value[i]) for i in subset]) for value in by_cell], []
 
 
 def name_values(names: Sequence[str], values: Sequence[str]) -> str:
@@ -157,10 +157,10 @@ def varying_axes(part: pd.DataFrame) -> list[str]:
 
 
 class AxisTitle(NamedTuple):
-    """How an axis of a scenario is called."""
+    """The unit of an axis of a scenario, and the channels that it changes."""
 
     unit: str = ""
-    channels: str = ""  # whose values it has; empty: all, or its values name them
+    channels: str = ""  # empty: all, or its values name them
 
 
 def label(axis: str, titles: Mapping[str, AxisTitle] | None = None) -> str:
@@ -176,16 +176,16 @@ def name_of(axis: str, title: AxisTitle) -> str:
     return f"{text} of {title.channels}" if title.channels else text
 
 
-def titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
+def axis_titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
     """Return the titles of a scenario's axes: their channels, and units that depend on its plant, such as of noise."""
     cells = _cells(result, part)
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
-    measured = output_units(scenario)
-    each = dict.fromkeys(("noise_std", "quantization_step", "send_threshold"), measured)
-    each["process_std"] = [u for _, u in states_of(scenario)]
+    channel_units = output_units(scenario)
+    units_by_axis = dict.fromkeys(("noise_std", "quantization_step", "send_threshold"), channel_units)
+    units_by_axis["process_std"] = [u for _, u in states_of(scenario)]
     out = {}
     for axis in axes_of(dict.fromkeys(cells.columns)):
-        channels, units = _split(result, cells, axis)[1], each.get(axis, [])
+        channels, units = _split(result, cells, axis)[1], units_by_axis.get(axis, [])
         units = [units[i] for i in channels] if units and channels else units
         unit = ", ".join(dict.fromkeys(units)) if units and all(units) else AXIS_UNITS.get(axis, "")
         names = _channel_names(result, cells, axis)
@@ -210,9 +210,9 @@ def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None
 
 
 def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:
-    """Return the rows in which every varying axis but the `free` has one value: as `at` says, or else its first.
+    """Return the rows in which every varying axis except the `free` ones has its value in `at`, or else its first value.
 
-    Raises UserError where `at` names no axis or no value of one.
+    Raises UserError if `at` has an unknown axis or value.
     """
     for name in at or {}:
         if name not in varying_axes(part):
@@ -263,10 +263,10 @@ def convergence(
         finite = values.to_numpy(float)
         finite = finite[np.isfinite(finite)]
         counts = [FIRST * 2**i for i in range(40) if FIRST * 2**i < len(finite)]
-        for many in [*counts, *([len(finite)] if len(finite) >= FIRST else [])]:
-            e = estimate(finite[:many])
+        for count in [*counts, *([len(finite)] if len(finite) >= FIRST else [])]:
+            e = estimate(finite[:count])
             if abs(e["mean"]) > ROUNDING and e["se"] > ALIKE * abs(e["mean"]):
-                out.append((observer, many, (e["ci_high"] - e["ci_low"]) / 2 / abs(e["mean"])))
+                out.append((observer, count, (e["ci_high"] - e["ci_low"]) / 2 / abs(e["mean"])))
     return pd.DataFrame(out, columns=["observer", "seeds", "half"])
 
 
@@ -275,9 +275,8 @@ def standings(
 ) -> pd.DataFrame:
     """Return for each cell its axes, the `winner` (empty if none is significant), `leaders`, `best`, `alike`, `p`, ...
 
-    `best` has the least `mean`, `alike` names those it is not significantly better than, `leaders` are both if
-    a test compares them;
-    see `statistics.ranking.standing`. `text` is a word for a cell.
+    `best` has the fewest diverged runs and then the least `mean`, `alike` names those it is not significantly better than,
+    `leaders` are both if a test compares them; see `statistics.ranking.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
     key, cache = (scenario, signal_of(result, scenario, signal, metric), metric), _STANDINGS.setdefault(result, {})
@@ -285,7 +284,7 @@ def standings(
         part, pairs, out = rows(result, *key), result.pairs_of(*key[:2]), []
         axes, comparisons = varying_axes(part), ranking.by_cell(pairs[pairs.metric == metric])
         for cell, group in ranking.by_cell(part).items():
-            rank = ranking.stood(group, comparisons.get(cell, []))
+            rank = ranking.standing_of(group, comparisons.get(cell, []))
             first = next(row for row in group if row["observer"] == rank.order[0])
             best = rank.order[0] if np.isfinite(first["mean"]) else ""
             out.append(
@@ -298,14 +297,14 @@ def standings(
     return cache[key].copy()
 
 
-_STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] = WeakKeyDictionary()  # asked for again
+_STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] = WeakKeyDictionary()  # a cache
 
 
 def key_cell(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
-    """Return the number of the most informative cell: where a significant winner is farthest ahead of the second.
+    """Return the number of the most informative cell: the one with the largest lead of a significant winner.
 
-    Where nobody significantly wins anywhere, as among those that are one filter to rounding: where the most are significantly
-    worse than the best. Where none is compared, as of one observer: where the error is largest. The first of several.
+    If no cell has a winner, it is that in which the most observers are significantly worse than the best. If observers are
+    not compared, it is that with the largest error. Of several, it is the first.
     """
     table = standings(result, scenario, signal, metric)
     if table.factor.isna().all() and not table.alike.map(len).any():
@@ -316,32 +315,38 @@ def key_cell(result: Result, scenario: str | None = None, signal: str | None = N
 
 
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
-    """Return the two axes of a map, across and up: the first two that vary; of these the one with the longer words goes up."""
+    """Return the two axes of a map, across and up: the first two that vary, the one with the longer words upwards."""
     across, up = varying_axes(part)[:2]
-    long = [sum(len(word(name, v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
-    return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
+    lengths = [sum(len(word(name, v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
+    return (up, across) if lengths[0] > max(lengths[1], WORDY) else (across, up)
 
 
-def runs_of(part: pd.DataFrame) -> int:
-    """Return how many runs a grid point has, at most; 0: its numbers are exact."""
+def count_runs(part: pd.DataFrame) -> int:
+    """Return the number of runs of a grid point, the largest of several; 0: its numbers are exact."""
     diverged = part.diverged.where(~part.metric.isin(COUNTS), 0)  # a rate of diverged runs counts them itself
     return int((part.n + diverged).max())
 
 
 def values_at(part: pd.DataFrame, cell: int) -> dict[str, object]:
     """Return the values of the axes that vary, in one cell."""
-    here = part[part.cell == cell].iloc[0]
-    return {name: here[name] for name in varying_axes(part)}
+    row = part[part.cell == cell].iloc[0]
+    return {name: row[name] for name in varying_axes(part)}
 
 
 def named_values(result: Result, part: pd.DataFrame, cell: int) -> dict[str, object]:
-    """Return the values of the axes that name a grid point: of axes that vary one at a time, those that are not the first."""
-    here, first = values_at(part, cell), values_at(part, int(part.cell.iloc[0]))
-    alone = result.study.vary == "one-at-a-time"
-    return {axis: value for axis, value in here.items() if not alone or value != first[axis]}
+    """Return the values of the axes that name a grid point; if axes vary one at a time, only those that are not the first."""
+    values, first = values_at(part, cell), values_at(part, int(part.cell.iloc[0]))
+    one_at_a_time = result.study.vary == "one-at-a-time"
+    return {axis: value for axis, value in values.items() if not one_at_a_time or value != first[axis]}
+
+
+def describe_values(result: Result, part: pd.DataFrame, cell: int) -> list[str]:
+    """Return `named_values` as texts, with the names and units of their axes."""
+    titles = axis_titles(result, part)
+    return [format_axis(axis, value, titles) for axis, value in named_values(result, part, cell).items()]
 
 
 def has_spread(part: pd.DataFrame) -> bool:
-    """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
+    """Return whether the runs of a frame of stats differ from one another."""
     spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()
     return bool((spread & (part.n > 1)).any())

@@ -45,12 +45,12 @@ def with_unit(text: str, unit: str) -> str:
 
 def describe_metric(metric: str, signal: str) -> str:
     """Return a metric of a signal in words."""
-    late, plain = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
+    is_steady, base = metric.startswith("steady_"), metric.removeprefix("steady_").removeprefix("pooled_")
     suffix = ", pooled over runs" if "pooled" in metric else ""
-    words = WORDS.get(plain, plain.replace("_", " "))
+    words = WORDS.get(base, base.replace("_", " "))
     if metric in OF_RUN:
         return words
-    return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if late else "") + suffix
+    return f"{words} of {signal.replace('_', ' ')}" + (" after the transient" if is_steady else "") + suffix
 
 
 def unit_of(part: pd.DataFrame) -> str:
@@ -60,12 +60,12 @@ def unit_of(part: pd.DataFrame) -> str:
 
 def about(result: Result, part: pd.DataFrame, at: Mapping[str, object]) -> str:
     """Return the title of a figure: the scenario, the values of the axes it does not show, and the number of runs."""
-    titles = frames.titles(result, part) if at else {}
+    titles = frames.axis_titles(result, part) if at else {}
     return ", ".join(
         [
             title_of_scenario(result.study, part.scenario.iloc[0]),
             *(frames.format_axis(axis, value, titles) for axis, value in at.items()),
-            describe_runs(frames.runs_of(part)),
+            describe_runs(frames.count_runs(part)),
         ]
     )
 
@@ -103,11 +103,11 @@ WRAPPED = re.compile(r"<g>\s*(<(?:path|use)\b[^>]*/>|<text\b[^>]*>[^<]*</text>)\
 def render_figure(figure: Figure, kind: str) -> bytes:
     """Return a figure as a file's content. Text stays text in SVG and PDF; the same figure gives the same bytes."""
     out = io.BytesIO()
-    about: dict[str, None] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
+    metadata: dict[str, None] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
     with mpl.rc_context(
         {"svg.fonttype": "none", "svg.hashsalt": "pcbench", "pdf.fonttype": 42, "text.hinting": "none"}
     ):
-        figure.savefig(out, format=kind, dpi=DPI, metadata=about)
+        figure.savefig(out, format=kind, dpi=DPI, metadata=metadata)
     if kind != "svg":
         return out.getvalue()
     return TIP.sub(rb"<g><title>\1</title>", out.getvalue()).replace(f"'{TIMES}'".encode(), FAMILY.encode())

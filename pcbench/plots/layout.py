@@ -68,7 +68,7 @@ class Paper(NamedTuple):
         return self.size / 72
 
     def fit_width(self, width: float) -> float:
-        """Return the width of a figure that needs so many inches: where the text's is known, one column or all of it."""
+        """Return the width of a figure that needs so many inches: one column or the whole text, if its width is known."""
         if self.text is None:
             return width
         return self.width if width <= self.width + 1e-9 else self.text
@@ -82,7 +82,7 @@ class Paper(NamedTuple):
         return self
 
     def width_of(self, text: str, smaller: float = 0.0) -> float:
-        """Return how wide a text is in inches, so many points `smaller` than usual; of several lines, the widest."""
+        """Return the width of a text in inches, in letters `smaller` by so many points; of several lines, the widest."""
         return max(_line_width(line, self.size - smaller, self.font) for line in text.split("\n"))
 
     def wrap(self, text: str, wide: float) -> str:
@@ -96,8 +96,8 @@ class Paper(NamedTuple):
                 lines[-1] = longer
         return "\n".join(lines)
 
-    def look(self) -> mpl.RcParams:
-        """Return the settings of matplotlib with which everything is drawn on it."""
+    def rc_params(self) -> mpl.RcParams:
+        """Return the settings of matplotlib for all figures on this paper."""
         sizes = {"font.size": self.size, "axes.titlesize": self.size, "axes.labelsize": self.size,
                  "legend.fontsize": self.size, "legend.title_fontsize": self.size,
                  "xtick.labelsize": self.size - 1, "ytick.labelsize": self.size - 1}  # fmt: skip
@@ -131,12 +131,12 @@ def sheet(
     keys: Sequence[Artist] = (),
     sharex: bool = False,
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Yield a figure with its axes, row by row, to be drawn in; on leaving they get a legend and their places.
+    """Yield a figure with its axes, row by row, to draw in; at the end they get a legend and their places.
 
-    `height` [inches] is of each of the axes, `width` of the figure (None: a column of the paper). The legend has every artist
-    that has a label, and the `keys` besides.
+    `height` [inches] is that of each of the axes, `width` that of the figure (None: a column of the paper). The legend has
+    every artist with a label, and the `keys`.
     """
-    with mpl.rc_context(paper.look()):
+    with mpl.rc_context(paper.rc_params()):
         figure = Figure(layout="constrained")
         grid = figure.subplots(ceil(panels / columns), columns, squeeze=False, sharex=sharex)
         for ax in grid.flat[panels:]:
@@ -165,7 +165,7 @@ def _lay_out(
     )
     legend.get_title().set_color(SOFT)
     lines = (title.count("\n") + 1 if title else 0) + ceil(len(handles) / columns)
-    tall = 1.35 * lines + 0.5
+    ems = 1.35 * lines + 0.5
     room = width / grid.shape[1] - 3 * paper.em
     for row in grid:
         row = [ax for ax in row if ax in axes]
@@ -174,8 +174,8 @@ def _lay_out(
             ax.set_xlabel(paper.wrap(ax.get_xlabel(), room))
         above, below = ([text.count("\n") + 1 if text else 0 for text in texts]
                         for texts in zip(*((ax.get_title("left"), ax.get_xlabel()) for ax in row), strict=True))  # fmt: skip
-        tall += 1.35 * max(above) + 1.35 * max(below) + (1.9 if max(below) else 0.6)
-    figure.set_size_inches(width, tall * paper.em + height * len(grid))
+        ems += 1.35 * max(above) + 1.35 * max(below) + (1.9 if max(below) else 0.6)
+    figure.set_size_inches(width, ems * paper.em + height * len(grid))
     figure.draw_without_rendering()
     for ax in axes:
         _keep_inside(ax)
@@ -198,12 +198,12 @@ def _keep_inside(ax: Axes) -> None:
     label = ax.xaxis.label
     box = label.get_window_extent()
     gap = 0.05 * ax.figure.dpi
-    by = max(gap - box.x0, 0.0) - max(box.x1 + gap - ax.figure.bbox.width, 0.0)
-    label.set_x(label.get_position()[0] + by / ax.bbox.width)
+    shift = max(gap - box.x0, 0.0) - max(box.x1 + gap - ax.figure.bbox.width, 0.0)
+    label.set_x(label.get_position()[0] + shift / ax.bbox.width)
 
 
 def _thin_out(ax: Axes, side: str) -> None:
-    """Leave out labels of an axis, x or y, that would touch: every second, third ... stays; of uneven ticks those with room."""
+    """Leave out labels of an axis, x or y, that would touch: keep every n-th, or those with room if ticks are uneven."""
     axis: Axis = getattr(ax, f"{side}axis")
     low, high = sorted(axis.get_view_interval())
     ticks = [t for t in axis.get_major_ticks() if t.label1.get_visible() and low <= t.get_loc() <= high]
@@ -231,21 +231,21 @@ def _has_gap(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool
 
 
 def is_wide(values: ArrayLike) -> bool:
-    """Say whether values are drawn on a logarithmic axis: all positive, over more than a decade and a half."""
+    """Return whether values are drawn on a logarithmic axis: all positive, over more than a decade and a half."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return bool(len(finite) and finite.min() > 0 and finite.max() > WIDE * finite.min())
 
 
 def is_positive(values: ArrayLike) -> bool:
-    """Say whether values, some of which may not be finite, can be drawn on a logarithmic axis."""
+    """Return whether values, some of which may not be finite, can be drawn on a logarithmic axis."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return bool(len(finite) and finite.min() > 0)
 
 
 def set_range(ax: Axes, side: str, values: ArrayLike, log: bool | None = None, margin: float = MARGIN) -> None:
-    """Let an axis, x or y, show all finite `values` and some room beyond; `log` None: logarithmic where they are wide."""
+    """Let an axis, x or y, show all finite `values` with some room; `log` None: logarithmic if `is_wide`."""
     finite = np.asarray(values, float).ravel()
     log = is_wide(finite) if log is None else log
     finite = finite[np.isfinite(finite) & ((finite > 0) | (not log))]
@@ -275,7 +275,7 @@ def set_limits(ax: Axes, side: str, low: float, high: float, log: bool = False) 
 
 
 def ends_in_infinity(values: Sequence[Any]) -> bool:
-    """Say whether values are numbers over more than a decade and a half, and infinity."""
+    """Return whether values are numbers over more than a decade and a half, and infinity."""
     numbers = all(isinstance(v, int | float) and v == v and v > 0 for v in values)
     return numbers and sum(isinf(v) for v in values) == 1 and is_wide(values)
 
@@ -309,7 +309,7 @@ def set_values(ax: Axes, side: str, values: Sequence[Any], infinite: str = "∞"
 
 
 class EqualDigits(Formatter):
-    """Ticks with equally many digits behind the point, where they are of ordinary size."""
+    """Ticks with equally many digits after the point, except for very large and small ones."""
 
     def __call__(self, value: float, pos: int | None = None) -> str:
         """Return one number."""
@@ -325,7 +325,7 @@ class EqualDigits(Formatter):
 
 
 def word(value: object, infinite: str = "∞") -> str:
-    """Return a value of a study's axis as a picture says it; "own" where it is the scenario's own."""
+    """Return a value of a study's axis as text; "own" if it is the scenario's own."""
     if value is None or value != value:
         return "own"
     if isinstance(value, float) and isinf(value):
@@ -334,7 +334,7 @@ def word(value: object, infinite: str = "∞") -> str:
 
 
 def number(value: float) -> str:
-    """Return a number in as few letters as four digits take; very large and small ones as powers of ten."""
+    """Return a number with four digits, in few letters; very large and small ones as powers of ten."""
     if not isfinite(value):
         return "-"
     if value == 0:

@@ -90,35 +90,36 @@ def curves(
             f"({', '.join(frames.varying_axes(stats)) or 'none does'}); give the study an axis with more than one value."
         )
     part = frames.fix_axes(stats, [axis], at)
-    every = list(dict.fromkeys(part[axis]))
+    axis_values = list(dict.fromkeys(part[axis]))
     title_values = frames.named_values(result, stats, int(part.cell.iloc[0]))
     title_values = {a: value for a, value in title_values.items() if a != axis}
     ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
     with sheet(paper, about(result, stats, title_values)) as (figure, (ax,)):
-        place = set_values(ax, "x", every, frames.INFINITE.get(axis, "∞"))
+        place = set_values(ax, "x", axis_values, frames.INFINITE.get(axis, "∞"))
         set_range(ax, "y", [*ends.ravel(), *[1.0] * (metric in BANDS)], is_positive(ends))
-        numeric = ends_in_infinity(every) or all(isinstance(v, int | float) and np.isfinite(v) for v in every)
+        is_finite = all(isinstance(v, int | float) and np.isfinite(v) for v in axis_values)
+        numeric = is_finite or ends_in_infinity(axis_values)
         ax.set_title(title_of(metric, stats.signal.iloc[0], unit_of(stats)))
-        ax.set_xlabel(frames.label(axis, frames.titles(result, stats)))
+        ax.set_xlabel(frames.label(axis, frames.axis_titles(result, stats)))
         look = styles(stats.observer)
         for i, (observer, style) in enumerate(look.items()):
             rows = part[part.observer == observer]
-            where = np.array([place(value) for value in rows[axis]])
-            rows, where = rows.iloc[np.argsort(where)], np.sort(where)
+            x = np.array([place(value) for value in rows[axis]])
+            rows, x = rows.iloc[np.argsort(x)], np.sort(x)
             offset = 0.0 if numeric else APART * (i - (len(look) - 1) / 2)
             transform = offset_copy(ax.transData, figure, offset, units="points")
-            ax.vlines(where, rows.ci_low, rows.ci_high, color=style.colour, linewidth=1.3, transform=transform)
-            faint = to_rgba(style.colour, 0.45 if len(every) < FEW else 1.0)
-            look_of: TomlTable = {"marker": style.marker, "markersize": 4, "mfc": style.colour, "mec": style.colour}
-            n_finite = len(rows) - ends_in_infinity(every)  # what is beyond all numbers is not
-            ax.plot(where[:n_finite], rows["mean"][:n_finite], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
-                    transform=transform, **look_of)  # fmt: skip
-            ax.plot(where[n_finite:], rows["mean"][n_finite:], linestyle="none", transform=transform, **look_of)
+            ax.vlines(x, rows.ci_low, rows.ci_high, color=style.colour, linewidth=1.3, transform=transform)
+            faint = to_rgba(style.colour, 0.45 if len(axis_values) < FEW else 1.0)
+            marker: TomlTable = {"marker": style.marker, "markersize": 4, "mfc": style.colour, "mec": style.colour}
+            n_finite = len(rows) - ends_in_infinity(axis_values)  # what is beyond all numbers is not
+            ax.plot(x[:n_finite], rows["mean"][:n_finite], label=observer, color=faint, linestyle=style.line, linewidth=1.1,
+                    transform=transform, **marker)  # fmt: skip
+            ax.plot(x[n_finite:], rows["mean"][n_finite:], linestyle="none", transform=transform, **marker)
         if metric in BANDS:
             ax.axhline(1.0, color=SOFT, linewidth=0.9, zorder=1.2)
-        for one in crossings.changes(result, axis, **selection) if axis in CROSSED else []:
-            ax.axvspan(one.low, one.high, color=SOFT, alpha=0.25, linewidth=0, zorder=0.5)
-            ax.axvline(one.value, color=SOFT, linestyle=":", linewidth=0.9, zorder=0.6)
+        for crossing in crossings.changes(result, axis, **selection) if axis in CROSSED else []:
+            ax.axvspan(crossing.low, crossing.high, color=SOFT, alpha=0.25, linewidth=0, zorder=0.5)
+            ax.axvline(crossing.value, color=SOFT, linestyle=":", linewidth=0.9, zorder=0.6)
     return figure
 
 
@@ -217,8 +218,16 @@ def cost(
         set_range(ax, "x", points[by] if wide else [0.0, *points[by]], wide, margin=0.12)
         set_range(ax, "y", points[["mean", "ci_low", "ci_high"]], is_wide(points["mean"]), margin=0.12)
         ax.set(title=title_of(metric, row.signal, row.unit), xlabel=COSTS[by])
-        for p in points.to_dict("records"):
-            style = look[p["observer"]]
-            ax.vlines(p[by], p["ci_low"], p["ci_high"], colors=style.colour, linewidth=1.2)
-            ax.scatter([p[by]], [p["mean"]], c=style.colour, marker=style.marker, s=26, zorder=3, label=p["observer"])
+        for point in points.to_dict("records"):
+            style = look[point["observer"]]
+            ax.vlines(point[by], point["ci_low"], point["ci_high"], colors=style.colour, linewidth=1.2)
+            ax.scatter(
+                [point[by]],
+                [point["mean"]],
+                c=style.colour,
+                marker=style.marker,
+                s=26,
+                zorder=3,
+                label=point["observer"],
+            )
     return figure

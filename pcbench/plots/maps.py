@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, describe_metric, times, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, sheet
-from pcbench.plots.palette import INK, SOFT, Style, on, pale, styles
+from pcbench.plots.palette import INK, SOFT, Style, ink_on, pale, styles
 from pcbench.statistics.aggregate import Row
 
 FINE = 16  # values of an axis beyond which a map is an image
@@ -34,7 +34,7 @@ LEAST = 8  # letters' heights that a map is wide
 SAME = 1e-3  # a map whose values differ by a smaller part is of one colour, and has no lines
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
 LOST = LinearSegmentedColormap.from_list("lost", ["#FFFFFF", "#F0C9A8", "#C77B3B", "#7A3E0C"])
-NOTHING = "#FFFFFF"  # of a cell in which every run diverged
+NO_VALUE = "#FFFFFF"  # of a cell in which every run diverged
 MOST = 12  # panels of a map of winners
 
 Marks = Mapping[str, tuple[float, float]]  # by its label, a place: values of both axes, not only those of cells
@@ -95,7 +95,7 @@ def heatmaps(
         value = row["value"]
         if not isfinite(value):
             why = "all diverged" if row["diverged"] else "infinite" if np.isinf(value) else "no value"
-            return Cell(NOTHING, (why, "-"), f"{row['observer']}: {why.replace('all', 'all runs')}")
+            return Cell(NO_VALUE, (why, "-"), f"{row['observer']}: {why.replace('all', 'all runs')}")
         tip = f"{row['observer']}: {layout.number(float(f'{value:.4g}'))} {unit}"
         return Cell(to_hex(colours(norm(value))), (layout.short(value),), tip, value)
 
@@ -158,7 +158,7 @@ def winners(
 
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
-    """Return the two axes of a map: those that are given, or the first that vary; raise UserError where there are not two."""
+    """Return the two axes of a map: x and y, or the first that vary; raise UserError if there are not two."""
     axes = frames.varying_axes(part)
     names = [name for name in (x, y) if name] + [name for name in axes if name not in (x, y)]
     if len(names) < 2 or names[0] not in axes or names[1] not in axes:
@@ -171,7 +171,7 @@ def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str
 
 def _standing(look: dict[str, Style], row: Row) -> Cell:
     if not row["best"]:
-        return Cell(NOTHING, (row["text"], "-"), row["text"].replace("all", "all runs"))
+        return Cell(NO_VALUE, (row["text"], "-"), row["text"].replace("all", "all runs"))
     colour, factor = look[row["best"]].colour, row["factor"]
     lead = times(factor) if isfinite(factor) and factor > 1 else ""
     if row["winner"]:
@@ -192,7 +192,7 @@ def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[Row], Cell]) -> C
 def _side(result: Result, part: pd.DataFrame, axis: str) -> Side:
     values = list(dict.fromkeys(part[axis]))
     ordered = sorted(values) if all(isinstance(v, int | float) for v in values) else values
-    return Side(frames.label(axis, frames.titles(result, part)), ordered, frames.INFINITE.get(axis, "∞"))
+    return Side(frames.label(axis, frames.axis_titles(result, part)), ordered, frames.INFINITE.get(axis, "∞"))
 
 
 def _norm(values: pd.Series) -> Normalize:
@@ -217,18 +217,18 @@ def draw(
     log: bool = False,
     marks: Marks = MappingProxyType({}),
 ) -> Figure:
-    """Draw maps with their titles side by side, as many as two columns of the paper hold; titles once a column and a row."""
+    """Draw maps with their titles, as many side by side as two columns of the paper hold; axes have titles at the edges."""
     fine = is_fine(x, y)
     em, words = paper.em, [x.words, y.words]
     words[0] = [word.replace(", ", ",\n") for word in words[0]]
     lines = max(word.count("\n") for word in words[0])
     room = max(paper.width_of(w, 1) for w in words[1]) + 2 * em
     cell = max(3.3 * em, *(paper.width_of(w, 1) + 0.4 * em for w in words[0]))
-    each = SIDE + room if fine else max(cell * len(x.values), LEAST * em) + room
-    rows = ceil(len(maps) / max(1, int(paper.full / each)))
+    map_width = SIDE + room if fine else max(cell * len(x.values), LEAST * em) + room
+    rows = ceil(len(maps) / max(1, int(paper.full / map_width)))
     columns = ceil(len(maps) / rows)
-    width = columns * each if fine else min(paper.full, columns * max(paper.width / 1.6, each))
-    width = max(paper.width, min(paper.full, each)) if columns == 1 and not fine else width
+    width = columns * map_width if fine else min(paper.full, columns * max(paper.width / 1.6, map_width))
+    width = max(paper.width, min(paper.full, map_width)) if columns == 1 and not fine else width
     height = SIDE if fine else max(2.6 * em, min(ROW, TALL / len(y.values))) * len(y.values)
     height += 1.2 * em * lines
     with sheet(paper, title, len(maps), columns, height=height, width=width, keys=keys) as (figure, axes):
@@ -257,7 +257,7 @@ def draw(
 
 
 def is_fine(x: Side, y: Side) -> bool:
-    """Say whether a map over two axes is drawn as an image."""
+    """Return whether a map over two axes is drawn as an image."""
     numbers = all(isinstance(v, int | float) for v in (*x.values, *y.values))
     return numbers and max(len(x.values), len(y.values)) > FINE
 
@@ -284,7 +284,7 @@ def _write(ax: Axes, cells: Cells, x: Side, y: Side, paper: Paper) -> None:
         fits = (w.strip() for w in cell.words if paper.width_of(w.strip(), 1.5) < wide - 0.06
                 and (w.strip().count("\n") + 1) * 1.2 * (paper.size - 1.5) / 72 < tall)  # fmt: skip
         ax.text(x.values.index(a), y.values.index(b), next(fits, ""), ha="center", va="center", fontsize=paper.size - 1.5,
-                fontfamily=[paper.font, "DejaVu Sans"], parse_math=False, color=on(cell.colour), linespacing=1.15,
+                fontfamily=[paper.font, "DejaVu Sans"], parse_math=False, color=ink_on(cell.colour), linespacing=1.15,
                 in_layout=False)  # fmt: skip
 
 
@@ -297,7 +297,7 @@ def _draw_levels(ax: Axes, cells: Cells, x: Side, y: Side, log: bool, size: floa
         low, high = float(finite.min()), float(finite.max())
         levels = [float(v) for v in locator.tick_values(low, high) if low < v < high]
         finite_cells = [cell for cell in cells.values() if isfinite(cell.value)]
-        inks = [on(min(finite_cells, key=lambda cell: abs(cell.value - level)).colour) for level in levels]
+        inks = [ink_on(min(finite_cells, key=lambda cell: abs(cell.value - level)).colour) for level in levels]
         across, up = range(len(x.values)), range(len(y.values))
         lines = ax.contour(across, up, grid, levels, colors=inks, linewidths=0.6) if levels else None
         if size and lines:
@@ -312,11 +312,11 @@ def grid_of(cells: Cells, x: Side, y: Side) -> NDArray[np.float64]:
 def _draw_marks(ax: Axes, x: Side, y: Side, marks: Marks, paper: Paper) -> None:
     """Draw a cross at each mark and its label on the side that has room."""
     for label, place in marks.items():
-        at, high = (float(np.interp(value, side.values, np.arange(len(side.values))))
+        column, row = (float(np.interp(value, side.values, np.arange(len(side.values))))
                     for value, side in zip(place, (x, y), strict=True))  # fmt: skip
-        on_left = at > 0.7 * len(x.values)
-        ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
+        on_left = column > 0.7 * len(x.values)
+        ax.plot([column], [row], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
         ax.annotate(
-            label, (at, high), (-5 if on_left else 5, 4), textcoords="offset points",
+            label, (column, row), (-5 if on_left else 5, 4), textcoords="offset points",
             ha="right" if on_left else "left", fontsize=paper.size - 1, color=INK,
         )  # fmt: skip

@@ -70,15 +70,15 @@ def frame_of(study: Study, scenario: str, out: str | Path | None, cell: int = 0)
 
     None if the scenario has continuous measurements, or if the code of an observer is not loaded.
     """
-    one = next(each for each in cells(study, scenario) if each.number == cell)
-    if one.scenario.sampling.continuous:
+    grid_point = next(each for each in cells(study, scenario) if each.number == cell)
+    if grid_point.scenario.sampling.continuous:
         return None
-    entry = CacheEntry(f"{scenario}.costs", one, ["of the last sample"])
+    entry = CacheEntry(f"{scenario}.costs", grid_point, ["of the last sample"])
     costs = load_table(out, entry)
     if costs is not None or not entry.is_computable:
         return costs
     with config.float64():
-        counts = {label: each for p in drafts([one]) for label, each in operation_counts.costs(p).items()}
-    head = {"scenario": one.scenario.name, "cell": cell}
+        counts = {label: each for p in drafts([grid_point]) for label, each in operation_counts.costs(p).items()}
+    head = {"scenario": grid_point.scenario.name, "cell": cell}
     rows = [head | {"observer": label, **each._asdict()} for label, each in counts.items()]
     return store(out, entry, pd.DataFrame(rows))

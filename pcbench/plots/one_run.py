@@ -1,9 +1,8 @@
 """Data for the figures of one run over time; the figures are `time_series.time` and `time_series.nees`.
 
-Runs of one cell, thinned to few ticks: one of them, and how far the errors of several reach. The run shown is the study's first
-seed, or any other; the seeds after it are run too, so that the figure can show what of an error is luck. They are simulated
-again by the functions that made the tables. The folder `examples` next to these keeps one file for each scenario, of the cell
-and seed that were looked at last.
+The data are one run of a cell, thinned to few ticks, and bands of the errors of RUNS runs: its seed and those after it. They
+are simulated again by the functions that made the tables. The folder `examples` next to the tables stores one file per
+scenario, for the cell and seed that were shown last.
 """
 
 import warnings
@@ -51,18 +50,22 @@ def frame_of(
 def of_scenarios(
     study: Study, at: dict[str, int], out: str | Path | None, seed: int | None = None, progress: Progress = SILENT
 ) -> dict[str, pd.DataFrame | None]:
-    """Return signal, series, kind, t [s], value of one run of each scenario, in the cell that `at` says of it.
+    """Return signal, series, kind, t [s], value of one run of each scenario, in its cell of `at`.
 
-    What does not stand in the folder `out` is made, all together, and put there.
+    Runs that are not in the folder `out` are simulated, all together, and stored there. `kind` is one of
 
-    `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
-    high (between which nine in ten errors of RUNS runs lie at that time), rms (over them) and SIZES (quantiles of |e|), ENDS
-    (of the interval of an observer with bounds), measured (as it has arrived and is held; of signals that an output shows as
-    they are), arrival (of no signal: rows in which what is held differs from the row before) or target (of a closed loop).
-    Where the study asks for consistency, also sigma (the assumed standard deviation of this run) and, of no signal, nees,
-    nees_low and nees_high (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true).
-    Runs that are all alike, and those with schedules of their own, have no low, high and rms. None where it does not stand
-    there and the code of an observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
+    - truth: of the plant; in a closed loop, each observer has its own
+    - estimate, error: of an observer; the error is truth minus estimate
+    - low, high, rms, SIZES: the band of 90 % of the errors of RUNS runs, their rms, and quantiles of |e|
+    - ENDS: of the interval of an observer with bounds
+    - measured: the newest measurement, of a signal that is an output
+    - arrival: of no signal, the rows in which the newest measurement changes
+    - target: of a closed loop
+    - sigma, and of no signal nees, nees_low, nees_high: in a study with consistency, the assumed standard deviation of this
+      run, the mean NEES over RUNS runs, and its 95 % band if P is true
+
+    Runs that do not differ, and those with random schedules, have no low, high and rms. None: the runs are not stored, and the
+    code of a user's observer is not loaded. Raises UserError for a cell that the scenario does not have.
     """
     grid_cells = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
     seed = study.first_seed if seed is None else seed
@@ -82,38 +85,38 @@ def has_nees(run: pd.DataFrame) -> bool:
     return bool((run.kind == "nees").any())
 
 
-def runs_of(run: pd.DataFrame) -> int:
-    """Return over how many runs the bands and means of a frame of `frame_of` are taken: 1 if runs do not differ."""
+def count_runs(run: pd.DataFrame) -> int:
+    """Return the number of runs of the bands and means of a frame of `frame_of`: 1 if runs do not differ."""
     return RUNS if (run.kind == MEDIAN).any() else 1
 
 
 def describe_seeds(run: pd.DataFrame, seed: int) -> str:
     """Return the number of runs of a frame of `frame_of` with their first seed, in words."""
-    many = runs_of(run)
-    return f"{many} runs from seed {seed}" if many > 1 else f"seed {seed}"
+    count = count_runs(run)
+    return f"{count} runs from seed {seed}" if count > 1 else f"seed {seed}"
 
 
 def _cell(study: Study, scenario: str, number: int) -> Cell:
-    every = {each.number: each for each in cells(study, scenario)}
-    if number not in every:
+    by_number = {each.number: each for each in cells(study, scenario)}
+    if number not in by_number:
         raise UserError(
-            f"--grid-point: got {number}, expected one of 0 .. {len(every) - 1}, the grid points of {scenario}; use "
+            f"--grid-point: got {number}, expected one of 0 .. {len(by_number) - 1}, the grid points of {scenario}; use "
             "one of these."
         )
-    return every[number]
+    return by_number[number]
 
 
 class Task(NamedTuple):
-    """A plan to be recorded: of all observers of an open loop, or of one of a closed loop."""
+    """A plan to simulate: of all observers of an open loop, or of one of a closed loop."""
 
-    plan: Plan  # as wide as there are seeds
+    plan: Plan  # its width is the number of seeds
     every: int  # ticks from row to row
     rows: int
     seeds: NDArray[np.int64]  # [RUNS], or [1] where all runs are alike
 
 
 def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progress) -> dict[str, pd.DataFrame]:
-    """Return the runs of a cell of each scenario, from `seed` on; programs are compiled side by side."""
+    """Return the runs of a cell of each scenario, from `seed` on; programs are compiled in parallel."""
     if not at:
         return {}
     with config.float64():
@@ -137,14 +140,14 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
 
 def _task(plan: Plan, root_seed: int, seed: int) -> Task:
     p, layout, ticks = plan.problem, plan.layout, plan.cell.times.ticks
-    noisy = np.any(p.noise_std) and not layout.continuous
+    has_noise = np.any(p.noise_std) and not layout.continuous
     is_random = layout.random_initial_state or layout.scattered or layout.drifting or layout.pending
-    differ = bool(noisy or is_random or np.any(p.process_std)) and not plan.cell.times.random
-    many = RUNS if differ else 1
+    runs_differ = bool(has_noise or is_random or np.any(p.process_std)) and not plan.cell.times.random
+    n_runs = RUNS if runs_differ else 1
     every = -(-(ticks + 1) // (2 * POINTS)) if ticks >= POINTS else 1
     plan = alone(plan, root_seed, seed)
-    plan = plan._replace(layout=plan.layout._replace(width=many))
-    return Task(plan, every, ticks // every + 1, np.arange(seed, seed + many))
+    plan = plan._replace(layout=plan.layout._replace(width=n_runs))
+    return Task(plan, every, ticks // every + 1, np.arange(seed, seed + n_runs))
 
 
 def _record(group: list[Task], root_seed: int) -> list[Trajectories]:
@@ -204,7 +207,7 @@ def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.
 
 
 def _spread(errors: jax.Array) -> dict[str, Floats]:
-    """Return between what nine in ten errors [K, L] lie, their root mean square and quantiles of |e|; nothing of one run."""
+    """Return the band of 90 % of the errors [K, L], their rms and the quantiles of |e|; nothing for one run."""
     if errors.shape[1] < 2:
         return {}
     with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):

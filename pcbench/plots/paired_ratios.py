@@ -114,11 +114,11 @@ def ratios_to(result: Result, scenario: str, signal: str, metric: str, cell: int
 def _of_means(stats: pd.DataFrame, best: str) -> pd.DataFrame:
     """Return the same from rows of stats, some of them exact."""
     mean, high = stats["mean"].to_numpy(float), stats.ci_high.to_numpy(float)
-    here = stats.observer.to_numpy(str) == best
+    is_best = stats.observer.to_numpy(str) == best
     with np.errstate(divide="ignore", invalid="ignore"):
         half = np.nan_to_num(np.log(high / mean))
-    half = np.where(here, 0.0, np.hypot(half, half[here]))
-    ratio = mean / mean[here]
+    half = np.where(is_best, 0.0, np.hypot(half, half[is_best]))
+    ratio = mean / mean[is_best]
     rows = {"ratio": ratio, "ci_low": ratio * np.exp(-half), "ci_high": ratio * np.exp(half), "n": stats.n.to_numpy()}
     return pd.DataFrame(rows, index=stats.index)
 
@@ -148,9 +148,9 @@ def ratios(
         )
     rows, look = table.rows, styles(stats.observer)
     words = describe_metric(result.ranks(metric), stats.signal.iloc[0])
-    here = about(result, stats, frames.named_values(result, stats, cell))
+    subject = about(result, stats, frames.named_values(result, stats, cell))
     methods = ["95 % paired intervals"] * table.intervals + ["p-values of the paired t-test (Holm)"] * table.has_p
-    title = ", ".join([f"{words}: {here}", *methods])
+    title = ", ".join([f"{words}: {subject}", *methods])
     keys: list[Artist] = [Patch(color=GRID, label="not distinguishable (95 %)")] if table.intervals else []
     if not rows.worse[1:].all():
         hollow = Line2D([], [], color=SOFT, marker="o", markerfacecolor="white", linestyle="none", markersize=5)
@@ -198,13 +198,13 @@ def _draw_row(ax: Axes, place: int, row: Row, style: Style, table: Ratios, paper
             half = np.sqrt(high / low)
             ax.barh(place, half - 1 / half, left=1 / half, height=2 * THICK, color=GRID, zorder=1)
         ax.hlines(place, low, high, color=style.colour, linewidth=1.5)
-        inside = style.colour if row["worse"] or is_best else "white"
+        face = style.colour if row["worse"] or is_best else "white"
         ax.plot(
             [ratio],
             [place],
             marker=style.marker,
             color=style.colour,
-            mfc=inside,
+            mfc=face,
             markersize=5,
             linestyle="none",
             zorder=3,

@@ -80,8 +80,8 @@ LOOKS = {
     "mmae-delay": Style("#F83844", (2.8, 1.4), "^"),
 }
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
-OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
-OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))
+USER_COLOURS = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
+USER_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))
 SHADES = (0.0, 0.34, -0.6, 0.5, -0.42, 0.18, -0.22)  # of white or black, for the first, second ... label of a base
 CONTRAST = 2.4  # to white, that every shade has at least
 
@@ -106,7 +106,8 @@ def styles(labels: Iterable[str]) -> dict[str, Style]:
 
 def _style(base: str, rank: int) -> Style:
     number = sum(map(ord, base))  # by which a user's own observer gets one of these looks
-    user_style = Style(OWN[number % len(OWN)], OWN_DASHES[number % len(OWN_DASHES)], "Dv"[number % 2])
+    dash = USER_DASHES[number % len(USER_DASHES)]
+    user_style = Style(USER_COLOURS[number % len(USER_COLOURS)], dash, "Dv"[number % 2])
     look = LOOKS.get(base, user_style)
     if not rank:
         return look
@@ -125,7 +126,7 @@ def mix_gray(colour: str, share: float, other: int) -> str:
 
 
 def pale(colour: str, share: float = 0.75) -> str:
-    """Return a colour mixed with so much white that dark words are read on it."""
+    """Return a colour mixed with so much white that dark text is legible on it."""
     return mix_gray(colour, share, 255)
 
 
@@ -136,6 +137,6 @@ def luminance(colour: str) -> float:
                for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
 
 
-def on(colour: str) -> str:
-    """Return the ink that is read on a colour: dark or white."""
+def ink_on(colour: str) -> str:
+    """Return the colour of legible text on a colour: dark or white."""
     return INK if luminance(colour) > 0.22 else "#FFFFFF"

@@ -18,7 +18,7 @@ from pcbench.plots import frames
 from pcbench.plots.labels import describe_metric, describe_runs
 from pcbench.plots.layout import PAPER, Paper, set_limits, set_range, sheet
 from pcbench.plots.lines import lines
-from pcbench.plots.palette import on, pale, styles
+from pcbench.plots.palette import ink_on, pale, styles
 from pcbench.plots.regret_matrix import MOST, Regrets, regrets_of
 from pcbench.statistics import COMPARED, POOLED
 
@@ -95,14 +95,14 @@ def profiles(
             f"plots.profiles: got {result.study.name}, expected two observers or more and 2 to {MOST} situations with an error "
             "above 0; choose fewer values of the axes, or several."
         )
-    chances = rank_probabilities(result, matrix, metric)
-    has_ranks = not chances.empty
-    words = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
-    title = f"{words} [-]: {result.study.name}, {len(matrix.situations)} situations, {describe_runs(matrix.runs)}"
+    probabilities = rank_probabilities(result, matrix, metric)
+    has_ranks = not probabilities.empty
+    subject = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
+    title = f"{subject} [-]: {result.study.name}, {len(matrix.situations)} situations, {describe_runs(matrix.runs)}"
     title += f", ranks by a paired bootstrap ({REPEATS:,} draws)" if has_ranks else ""
-    ranks = len(chances.columns)
+    ranks = len(probabilities.columns)
     largest = matrix.rows.ratio[np.isfinite(matrix.rows.ratio)].max()
-    height = max(1.3, ROW * len(chances)) if has_ranks else 1.5
+    height = max(1.3, ROW * len(probabilities)) if has_ranks else 1.5
     with sheet(paper, title, 1 + has_ranks, height=height) as (figure, axes):
         ax = axes[0]
         set_range(ax, "x", [1.0, max(float(largest), 1.05)], log=True)
@@ -119,24 +119,25 @@ def profiles(
                 **line,
             )
         if has_ranks:
-            _draw_ranks(axes[1], chances.loc[[o for o in matrix.observers if o in chances.index]], ranks, paper)
+            names = [o for o in matrix.observers if o in probabilities.index]
+            _draw_ranks(axes[1], probabilities.loc[names], ranks, paper)
     return figure
 
 
-def _draw_ranks(ax: Axes, chances: pd.DataFrame, ranks: int, paper: Paper) -> None:
+def _draw_ranks(ax: Axes, probabilities: pd.DataFrame, ranks: int, paper: Paper) -> None:
     """Draw a bar of probabilities for each observer, the first rank darkest."""
-    look = styles(chances.index)
-    ax.set(title="probability of each rank", xlim=(0.0, 1.0), ylim=(len(chances) - 0.5, -0.5))
-    ax.set_yticks(range(len(chances)), list(chances.index))
+    look = styles(probabilities.index)
+    ax.set(title="probability of each rank", xlim=(0.0, 1.0), ylim=(len(probabilities) - 0.5, -0.5))
+    ax.set_yticks(range(len(probabilities)), list(probabilities.index))
     ax.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
     ax.grid(False)
     ax.tick_params(axis="y", length=0)
-    for y, (observer, row) in enumerate(chances.iterrows()):
+    for y, (observer, row) in enumerate(probabilities.iterrows()):
         offset = 0.0
         for rank, share in row.items():
             colour = pale(look[str(observer)].colour, 0.85 * (int(str(rank)) - 1) / max(ranks - 1, 1))
             ax.barh(y, share, left=offset, height=0.8, color=colour, edgecolor="white", linewidth=0.5)
             if share > LEAST:
                 ax.text(offset + share / 2, y, str(rank), ha="center", va="center_baseline", fontsize=paper.size - 2,
-                        color=on(colour), in_layout=False)  # fmt: skip
+                        color=ink_on(colour), in_layout=False)  # fmt: skip
             offset += float(share)

@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import describe_metric, describe_runs, unit_of, with_unit
 from pcbench.plots.layout import PAPER, Paper, sheet
-from pcbench.plots.palette import GRID, SOFT, on
+from pcbench.plots.palette import GRID, SOFT, ink_on
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import ROUNDING
 from pcbench.study import title_of_scenario
@@ -89,7 +89,7 @@ def regrets_of(
     """
     metric = result.ranks(metric)
     parts, signal_names, runs = list[pd.DataFrame](), dict[str, None](), 0
-    every, points, lowest = list[pd.DataFrame](), dict[str, tuple[str, int]](), dict[str, float]()
+    signal_parts, points, lowest = list[pd.DataFrame](), dict[str, tuple[str, int]](), dict[str, float]()
     for scenario in result.scenarios:
         for signal in frames.signals_with_metric(result, scenario, signals, metric)[:1]:
             part, standings = (f(result, scenario, signal, metric) for f in (frames.rows, frames.standings))
@@ -97,11 +97,11 @@ def regrets_of(
             leaders = {cell: {*leader_names, *alike} for cell, leader_names, alike in equal}
             best = dict(zip(standings.cell, standings.best, strict=True))
             least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
-            titles = frames.titles(result, part)
+            titles = frames.axis_titles(result, part)
             names = {cell: _situation(result, part, cell, titles) for cell in best}
             points |= {name: (scenario, cell) for cell, name in names.items()}
             lowest |= {name: float(least[part.cell == cell].iloc[0]) for cell, name in names.items()}
-            every.append(part)
+            signal_parts.append(part)
             rows = pd.DataFrame({"situation": part.cell.map(names), "observer": part.observer.astype(str)})
             rows = rows.assign(scenario=scenario, signal=signal, cell=part.cell)
             rows["ratio"] = np.where(np.isfinite(part["mean"]), part["mean"] / least.where(least > ROUNDING), inf)
@@ -111,13 +111,13 @@ def regrets_of(
             ]
             parts.append(rows[(least > ROUNDING).to_numpy()])
             signal_names[signal] = None
-            runs = max(runs, frames.runs_of(part))
+            runs = max(runs, frames.count_runs(part))
     all_rows = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame({"situation": [], "observer": []})
     situations, observers = (list(dict.fromkeys(all_rows[name])) for name in ("situation", "observer"))
     if len(observers) < 2 or not 2 <= len(situations) <= (most or len(situations)):
         return None
-    levels = _levels(result, every, {name: points[name] for name in situations})
-    units = {unit_of(part) for part in every}
+    levels = _levels(result, signal_parts, {name: points[name] for name in situations})
+    units = {unit_of(part) for part in signal_parts}
     matrix = Regrets(
         rows=all_rows,
         observers=observers,
@@ -151,7 +151,7 @@ def _levels(result: Result, parts: list[pd.DataFrame], situations: dict[str, tup
     levels = [Level("", [title.removeprefix(_common_prefix(titles)) for title in titles])]
     values = [frames.values_at(by[scenario], cell) for scenario, cell in situations.values()]
     for axis in result.study.axes:
-        names = {frames.label(axis, frames.titles(result, part)) for part in parts}
+        names = {frames.label(axis, frames.axis_titles(result, part)) for part in parts}
         name = names.pop() if len(names) == 1 else frames.label(axis).partition(" [")[0]
         levels.append(Level(name, [frames.word(axis, point[axis]) if axis in point else "" for point in values]))
     return [level for level in levels if len(set(level.words)) > 1]
@@ -185,10 +185,10 @@ def regrets(
     finite = matrix.rows.ratio[np.isfinite(matrix.rows.ratio)]
     darkest = max(DARKEST, float(finite.max()))
     norm = LogNorm(1.0, darkest)
-    many = len(matrix.situations)
-    panels = ceil(many / COLUMNS)
-    columns = ceil(many / panels)
-    parts = [range(i, min(i + columns, many)) for i in range(0, many, columns)]
+    n_situations = len(matrix.situations)
+    panels = ceil(n_situations / COLUMNS)
+    columns = ceil(n_situations / panels)
+    parts = [range(i, min(i + columns, n_situations)) for i in range(0, n_situations, columns)]
     power, least = _scale_errors(list(matrix.least.values()))
     unit = f"{layout.number(10.0**power)} {matrix.unit}".strip() if power else matrix.unit
     rows = [*matrix.observers, *([with_unit("least", unit)] if matrix.unit else [])]
@@ -205,16 +205,16 @@ def regrets(
     test = " (paired t-test, Holm, 5 %)" if matrix.runs > 1 else ""
     subject = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
     titles = [level.name for level in matrix.levels if level.name and upright]
-    about = [f"{subject} / least of the column [-]", _common_title(result, matrix), describe_runs(matrix.runs)]
-    about += [f"hatched: {matrix.tie}{test}"] * bool(matrix.ties.any())
-    about += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
+    parts_of_title = [f"{subject} / least of the column [-]", _common_title(result, matrix), describe_runs(matrix.runs)]
+    parts_of_title += [f"hatched: {matrix.tie}{test}"] * bool(matrix.ties.any())
+    parts_of_title += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
             for v in KEYS if v <= darkest]  # fmt: skip
     if matrix.ties.any():
         keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label=matrix.tie))
     with sheet(
         paper,
-        ", ".join(about),
+        ", ".join(parts_of_title),
         panels,
         height=ROW * len(rows) + below,
         width=max(paper.width, min(paper.full, names + cell * columns + BESIDE)),
@@ -269,12 +269,12 @@ def _draw_panel(ax: Axes, matrix: Regrets, columns: range, norm: LogNorm, paper:
         colour = to_hex(COLOURS(norm(row["ratio"]) if isfinite(row["ratio"]) else 1.0))
         ties = not (row["best"] or row["worse"])
         patch = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor=GRID, linewidth=0.6)
-        text = number(row["ratio"])
+        text = format_ratio(row["ratio"])
         patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{f', {matrix.tie}' if ties else ''}")
         ax.add_patch(patch)
         if ties:
             ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=HATCH, hatch="/////", linewidth=0.0))
-        ax.text(x, y, text, ha="center", va="center", fontsize=paper.size - 2, color=on(colour), in_layout=False,
+        ax.text(x, y, text, ha="center", va="center", fontsize=paper.size - 2, color=ink_on(colour), in_layout=False,
                 fontweight="bold" if row["best"] else "normal")  # fmt: skip
 
 
@@ -302,7 +302,7 @@ def _scale_errors(least: list[float]) -> tuple[int, list[str]]:
     return power, [layout.number(float(f"{v / 10.0**power:.2g}")) if isfinite(v) else "∞" for v in least]
 
 
-def number(ratio: float) -> str:
+def format_ratio(ratio: float) -> str:
     """Return a ratio in at most four letters."""
     if not isfinite(ratio):
         return "∞"

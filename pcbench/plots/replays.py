@@ -30,37 +30,37 @@ BAND = Patch(color=GRID, label="95 % band")
 def states(r: Replay, signal: str, paper: Paper = PAPER) -> Figure:
     """Return one signal over time, tick by tick over a short time, and its error, with the bands of the observers."""
     look, name = lines(r.observers), f"{signal.replace('_', ' ')}"
-    unit, minus = f"[{r.units[signal]}]", "true" if signal in r.truth else "smoothed"
-    every = {observer: replay_frames.states(r, observer, signal) for observer in r.observers}
-    has_errors = any(each.error.notna().any() for each in every.values())
+    unit, minuend = f"[{r.units[signal]}]", "true" if signal in r.truth else "smoothed"
+    by_observer = {observer: replay_frames.states(r, observer, signal) for observer in r.observers}
+    has_errors = any(frame.error.notna().any() for frame in by_observer.values())
     low, high = excerpt_of(r)
     with sheet(paper, "", panels=2 + has_errors, width=WIDE * paper.width) as (figure, axes):
-        overview, part, *below = axes
+        overview, excerpt, *error_axes = axes
         for ax in axes:
-            set_limits(ax, "x", *((low, high) if ax is part else (0.0, r.end)))
+            set_limits(ax, "x", *((low, high) if ax is excerpt else (0.0, r.end)))
         axes[-1].set_xlabel("t [s]")
         overview.set_title(f"{name} {unit}")
-        part.set_title(f"{name} from {span(low, high)} {unit}")
-        values = [_late(r, every[observer]).estimate for observer in r.scale]
+        excerpt.set_title(f"{name} from {span(low, high)} {unit}")
+        values = [_steady(r, by_observer[observer]).estimate for observer in r.scale]
         for kind in ("truth", "smoothed"):
             if signal in getattr(r, kind):
                 reference = replay_frames.reference(r, signal, kind)
                 _draw_reference(overview, reference, kind)
                 values.append(reference.value)
-        for observer, each in every.items():
-            overview.plot(each.t, each.estimate, **look[observer])
+        for observer, frame in by_observer.items():
+            overview.plot(frame.t, frame.estimate, **look[observer])
         set_range(overview, "y", pd.concat(values), log=False)
-        _draw_excerpt(part, r, signal, look, low, high)
-        for ax in below:
-            ax.set_title(f"{minus} minus estimated {name} {unit}")
-            _draw_errors(ax, r, every, look)
+        _draw_excerpt(excerpt, r, signal, look, low, high)
+        for ax in error_axes:
+            ax.set_title(f"{minuend} minus estimated {name} {unit}")
+            _draw_errors(ax, r, by_observer, look)
     return figure
 
 
 def excerpt_of(r: Replay) -> tuple[float, float]:
     """Return the short time [s] in the middle of a recording that is drawn tick by tick."""
-    wide = min(max(EXCERPT * r.end / max(r.summary["rows"], 1), 20 * r.summary["dt"]), r.end)
-    return 0.5 * (r.end - wide), 0.5 * (r.end + wide)
+    duration = min(max(EXCERPT * r.end / max(r.summary["rows"], 1), 20 * r.summary["dt"]), r.end)
+    return 0.5 * (r.end - duration), 0.5 * (r.end + duration)
 
 
 def span(low: float, high: float) -> str:
@@ -69,8 +69,8 @@ def span(low: float, high: float) -> str:
     return f"{low:.{digits}f} s to {high:.{digits}f} s"
 
 
-def _late(r: Replay, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:
-    """Return the rows after the initial transient, which set the scale: what goes farther before leaves the picture."""
+def _steady(r: Replay, rows: pd.DataFrame, time: str = "t") -> pd.DataFrame:
+    """Return the rows after the initial transient. They set the scale, so larger earlier values leave the picture."""
     return rows[rows[time] >= min(r.summary["steady_start"], 0.5 * r.end)]
 
 
@@ -85,19 +85,19 @@ def _draw_reference(ax: Axes, frame: pd.DataFrame, kind: str) -> None:
 
 def _draw_excerpt(ax: Axes, r: Replay, signal: str, look: Mapping[str, LineLook], low: float, high: float) -> None:
     """Draw some ticks of all observers with their bands, and what was measured."""
-    every = {observer: replay_frames.excerpt(r, observer, signal, low, high) for observer in look}
-    first, values = next(iter(every.values())), []
+    by_observer = {observer: replay_frames.excerpt(r, observer, signal, low, high) for observer in look}
+    first, values = next(iter(by_observer.values())), []
     for kind in ("truth", "smoothed"):
         if signal in getattr(r, kind):
             _draw_reference(ax, pd.DataFrame({"t": first.t, "value": first[kind]}), kind)
-    for observer, each in every.items():
-        ax.plot(each.t, each.estimate, **look[observer])
-        values += [each.estimate] if observer in r.scale else []
-        if len(look) <= FEW and each.sigma.notna().any():
-            below, above = each.estimate - Z95 * each.sigma, each.estimate + Z95 * each.sigma
-            _fill(ax, each.t, below, above, look[observer])
+    for observer, frame in by_observer.items():
+        ax.plot(frame.t, frame.estimate, **look[observer])
+        values += [frame.estimate] if observer in r.scale else []
+        if len(look) <= FEW and frame.sigma.notna().any():
+            below, above = frame.estimate - Z95 * frame.sigma, frame.estimate + Z95 * frame.sigma
+            _fill(ax, frame.t, below, above, look[observer])
             values += [below, above]
-    for channel in (each["channel"] for each in r.summary["outputs"] if each["state"] == signal):
+    for channel in (frame["channel"] for frame in r.summary["outputs"] if frame["state"] == signal):
         dots = replay_frames.measured(r, channel, low, high)
         ax.scatter(dots.sampled, dots.value, s=DOT, color=SOFT, linewidths=0, zorder=3, label="measured")
         values.append(dots.value)
@@ -109,17 +109,17 @@ def _fill(ax: Axes, t: pd.Series, low: pd.Series, high: pd.Series, look: LineLoo
     ax.fill_between(t, low, high, color=look["color"], alpha=SHADE, linewidth=0, zorder=1.2, label=label)
 
 
-def _draw_errors(ax: Axes, r: Replay, every: Mapping[str, pd.DataFrame], look: Mapping[str, LineLook]) -> None:
+def _draw_errors(ax: Axes, r: Replay, by_observer: Mapping[str, pd.DataFrame], look: Mapping[str, LineLook]) -> None:
     """Draw the errors of all observers with their bands."""
     ax.axhline(0.0, color=SOFT, linewidth=0.6, zorder=1)
     values = []
-    for observer, each in every.items():
-        ax.plot(each.t[each.error.notna()], each.error.dropna(), **look[observer])
-        late = _late(r, each)
-        values += [late.error] if observer in r.scale else []
-        if len(look) <= FEW and each.sigma.notna().any():
-            _fill(ax, each.t, -Z95 * each.sigma, Z95 * each.sigma, look[observer])
-            values.append(pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max())
+    for observer, frame in by_observer.items():
+        ax.plot(frame.t[frame.error.notna()], frame.error.dropna(), **look[observer])
+        steady = _steady(r, frame)
+        values += [steady.error] if observer in r.scale else []
+        if len(look) <= FEW and frame.sigma.notna().any():
+            _fill(ax, frame.t, -Z95 * frame.sigma, Z95 * frame.sigma, look[observer])
+            values.append(pd.Series([-1.0, 1.0]) * Z95 * steady.sigma.max())
     set_range(ax, "y", pd.concat(values), log=False)
 
 
@@ -130,9 +130,9 @@ def innovations(r: Replay, channel: str, every: Mapping[str, Innovations], paper
         for ax, (observer, stats) in zip(axes, every.items(), strict=True):
             rows, colour = stats.samples, styles(r.observers)[observer].colour
             set_limits(ax, "x", 0.0, r.end)
-            band, late = Z95 * rows.sigma, _late(r, rows, "arrived")
-            ends = pd.Series([-1.0, 1.0]) * Z95 * late.sigma.max()
-            set_range(ax, "y", pd.concat([late.innovation, ends]), log=False)
+            band, steady = Z95 * rows.sigma, _steady(r, rows, "arrived")
+            ends = pd.Series([-1.0, 1.0]) * Z95 * steady.sigma.max()
+            set_range(ax, "y", pd.concat([steady.innovation, ends]), log=False)
             ax.set_title(f"{observer}: innovations of {channel} {unit}")
             ax.fill_between(rows.arrived, -band, band, color=GRID, linewidth=0, zorder=1)
             ax.scatter(rows.arrived, rows.innovation, s=DOT, color=colour, linewidths=0, zorder=2)
@@ -168,15 +168,15 @@ def autocorrelation(r: Replay, every: Mapping[str, Innovations], paper: Paper = 
 
 def log_likelihood(r: Replay, observers: Sequence[str], paper: Paper = PAPER) -> Figure:
     """Return the mean log-likelihood of a measured value over time; a line marks where the held-out part begins."""
-    every = {observer: replay_frames.log_likelihood(r, observer) for observer in observers}
+    by_observer = {observer: replay_frames.log_likelihood(r, observer) for observer in observers}
     with sheet(paper, "", width=WIDE * paper.width) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, r.end)
-        set_range(ax, "y", pd.concat([_late(r, each).value for each in every.values()]), log=False)
+        set_range(ax, "y", pd.concat([_steady(r, each).value for each in by_observer.values()]), log=False)
         ax.set(title="mean log-likelihood per measured value [-]", xlabel="time of arrival [s]")
         start = r.summary["held_out_from"]
         ax.axvline(start, color=SOFT, linewidth=0.8, linestyle=(0, (4, 2)), label="start of the held-out part")
         for observer, line in lines(r.observers).items():
-            if observer in every:
-                rows = every[observer].dropna()
+            if observer in by_observer:
+                rows = by_observer[observer].dropna()
                 ax.plot(rows.t, rows.value, marker=".", markersize=3, **line)
     return figure

@@ -28,7 +28,7 @@ BANDS = 5  # largest number of observers with bands
 STEADY = 0.5  # of the run: how large errors are in its second half says whether they need a logarithmic axis
 DEPTH = 1e-6  # of the largest error: what is smaller lies at the lower edge
 RUNAWAY = 30.0  # times the plant's range: errors beyond leave the picture
-NINE = 1.6448536269514722  # standard deviations on both sides of the mean, within which nine in ten lie
+Z90 = 1.6448536269514722  # 90 % of a normal distribution are within so many standard deviations
 TRUTH_WIDTH, TRUTH_PALE = 3.2, 0.68
 LOOP_WIDTH, LOOP_PALE = 2.6, 0.35  # of the plants of a closed loop, one per observer
 FAR = 10.0  # times the plant's range: an estimate of which even the best goes farther leaves the picture
@@ -71,31 +71,30 @@ def time(
 def draw_run(
     result: Result, run: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
-    """Draw one signal of a run that is at hand, a frame of `one_run.frame_of`."""
+    """Draw one signal of a run, a frame of `one_run.frame_of`."""
     part = _with_exact(run[run.signal == signal], result, scenario, cell)
     stats = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {observer: line for observer, line in lines(stats.observer).items() if observer in set(part.series)}
-    names = frames.titles(result, stats)
-    at = [frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items()]
-    title = ", ".join([title_of_scenario(result.study, scenario), *at, f"seed {seed}"])
+    values = frames.describe_values(result, stats, cell)
+    title = ", ".join([title_of_scenario(result.study, scenario), *values, f"seed {seed}"])
     is_loop = bool(part.series.str.startswith(one_run.UNDER).any())
-    words = LOOPED if is_loop else "plant"
+    plant_label = LOOPED if is_loop else "plant"
     width, share = (LOOP_WIDTH, LOOP_PALE) if is_loop else (TRUTH_WIDTH, TRUTH_PALE)
-    plant = Line2D([], [], color=pale(PLANT, share), linewidth=width, label=words)
+    plant = Line2D([], [], color=pale(PLANT, share), linewidth=width, label=plant_label)
     has_truth = bool((part.kind == "truth").any())  # an error of a user's own is of no signal
     with sheet(paper, title, 1 + has_truth, sharex=True, keys=[plant] * has_truth) as (figure, axes):
-        below = axes[-1]
-        set_limits(below, "x", 0.0, float(part.t.max()))
-        log = _set_errors_range(below, part)
+        error_ax = axes[-1]
+        set_limits(error_ax, "x", 0.0, float(part.t.max()))
+        log = _set_errors_range(error_ax, part)
         exact = exactly(result, scenario, cell)
         error = "error (true minus estimated)" if has_truth else signal.replace("_", " ")
-        below.set(title=_size(part, unit, exact) if log else with_unit(error, unit), xlabel="t [s]")
+        error_ax.set(title=_size(part, unit, exact) if log else with_unit(error, unit), xlabel="t [s]")
         if has_truth:
             set_limits(axes[0], "y", *_range(part))
             axes[0].set_title(with_unit(signal.replace("_", " "), unit))
             _draw_states(axes[0], part, look)
-        _draw_errors(below, part, look, log)
+        _draw_errors(error_ax, part, look, log)
     return figure
 
 
@@ -106,21 +105,21 @@ def exactly(result: Result, scenario: str, cell: int) -> frozenset[str]:
 
 
 def over(observers: frozenset[str], exact: frozenset[str]) -> str:
-    """Return over what the errors of these observers are taken at a time, some of them exactly."""
+    """Return in words over what the errors of these observers are taken; those of `exact` ones are over all noise."""
     several = f"{one_run.RUNS} runs"
     return "all noise" if observers <= exact else several if not observers & exact else f"all noise, or {several}"
 
 
 def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) -> pd.DataFrame:
-    """Return a run with the bands and sizes of its errors as they are exactly, of observers whose moments are known."""
+    """Return a run with the exact bands and sizes of the errors of observers whose exact moments are known."""
     moments = result.moments_of(scenario, cell) if result.exact else pd.DataFrame()
     if moments.empty:
         return part
     signal = part.signal.iloc[0]
     moments = moments[(moments.signal == signal) & moments.observer.isin(set(part.series))]
     bands = {
-        "low": moments["mean"] - NINE * moments["std"],
-        "high": moments["mean"] + NINE * moments["std"],
+        "low": moments["mean"] - Z90 * moments["std"],
+        "high": moments["mean"] + Z90 * moments["std"],
         "rms": np.hypot(moments["mean"], moments["std"]),
     }
     rows = [
@@ -178,7 +177,7 @@ def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
 
 
 def _range(part: pd.DataFrame) -> tuple[float, float]:
-    """Return between what the plant and its target are drawn, with room; what runs away leaves the picture."""
+    """Return the range of the axis of the plant and its target, with room; estimates that diverge leave the picture."""
     values = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
     low, high = float(values.min()), float(values.max())
     near = part.value[part.kind.isin(["estimate", *one_run.ENDS]) & np.isfinite(part.value)]
@@ -204,7 +203,7 @@ def _best_estimate(part: pd.DataFrame) -> pd.Series:
 
 
 def _set_errors_range(ax: Axes, part: pd.DataFrame) -> bool:
-    """Choose the axis of errors; return whether it is logarithmic: where their sizes span decades."""
+    """Set the range of the axis of errors; return whether it is logarithmic, as for sizes that span decades."""
     errors = part[part.kind == "error"]
     size = part[part.kind == "rms"] if (part.kind == "rms").any() else errors
     true = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
@@ -251,9 +250,8 @@ def nees(
 def draw_nees(result: Result, run: pd.DataFrame, scenario: str, cell: int, seed: int, paper: Paper) -> Figure:
     """Draw the NEES of a frame of `one_run.frame_of`."""
     stats, part = frames.rows(result, scenario, None, "mae"), run[run.kind.str.startswith("nees")]
-    names = frames.titles(result, stats)
-    at = (frames.format_axis(axis, value, names) for axis, value in frames.named_values(result, stats, cell).items())
-    title = ", ".join([title_of_scenario(result.study, scenario), *at, one_run.describe_seeds(run, seed)])
+    values = frames.describe_values(result, stats, cell)
+    title = ", ".join([title_of_scenario(result.study, scenario), *values, one_run.describe_seeds(run, seed)])
     with sheet(paper, title, keys=[Patch(color=GRID, label="95 % band")]) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, float(part.t.max()))
         set_range(ax, "y", part.value[part.value > 0])
@@ -284,21 +282,21 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
         raise UserError(
             f"plots.delays: got a recording {table.attrs['name']} without arrivals, expected at least one; use another one."
         )
-    late = np.concatenate([each[:, 1] for each in selections.values()])
-    edges = edges_of(late)
-    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in selections.items()}
-    with sheet(paper, "", panels=2) as (figure, (over_time, often)):
+    all_delays = np.concatenate([selection[:, 1] for selection in selections.values()])
+    edges = edges_of(all_delays)
+    shares = {name: np.histogram(selection[:, 1], edges)[0] / len(selection) for name, selection in selections.items()}
+    with sheet(paper, "", panels=2) as (figure, (over_time, histogram)):
         set_limits(over_time, "x", 0.0, max(survey.end - survey.start, 1e-9))
-        for ax, side in ((over_time, "y"), (often, "x")):
-            set_range(ax, side, [late.min(), late.max(), edges[0], edges[-1]], log=False)
-        set_range(often, "y", [0.0, *np.concatenate(list(shares.values()))], log=False)
+        for ax, side in ((over_time, "y"), (histogram, "x")):
+            set_range(ax, side, [all_delays.min(), all_delays.max(), edges[0], edges[-1]], log=False)
+        set_range(histogram, "y", [0.0, *np.concatenate(list(shares.values()))], log=False)
         over_time.set(title="delay [s]", xlabel="time since the start [s]")
-        often.set(title="share of samples", xlabel="delay [s]")
+        histogram.set(title="share of samples", xlabel="delay [s]")
         for name, line in lines(selections).items():
             t, delay = selections[name].T
             over_time.scatter(t - survey.start, delay, s=2, color=line["color"], linewidths=0, rasterized=True)
             label = name if len(selections) > 1 else None
-            often.stairs(shares[name], edges, color=line["color"], linewidth=1.2, label=label)
+            histogram.stairs(shares[name], edges, color=line["color"], linewidth=1.2, label=label)
     return figure
 
 
@@ -317,32 +315,32 @@ def delay_profiles(found: Sequence[ChannelDelay], *, paper: Paper = PAPER) -> Fi
         figure,
         axes,
     ):
-        for ax, each in zip(axes, found, strict=True):
-            delays, drops = np.array(each.delays), np.array(each.drops)
+        for ax, delay in zip(axes, found, strict=True):
+            delays, drops = np.array(delay.delays), np.array(delay.drops)
             mask = drops <= max(DROP, np.sort(drops)[min(4, len(drops) - 1)])
-            set_range(ax, "x", [*delays[mask], each.low, each.high])
+            set_range(ax, "x", [*delays[mask], delay.low, delay.high])
             set_range(ax, "y", [0.0, *drops[mask]], log=False)
-            ax.axvspan(each.low, each.high, color=GRID, linewidth=0, zorder=1)
-            ax.axvline(each.estimate, color=SOFT, linewidth=0.6, zorder=1.2)
+            ax.axvspan(delay.low, delay.high, color=GRID, linewidth=0, zorder=1)
+            ax.axvline(delay.estimate, color=SOFT, linewidth=0.6, zorder=1.2)
             colour = LOOKS["kf"].colour
             if len(delays) > 3:
                 fine = np.linspace(delays[mask][0], delays[mask][-1], 200)
                 ax.plot(fine, CubicSpline(delays, drops)(fine), color=colour, linewidth=1.2)
             ax.plot(delays[mask], drops[mask], color=colour, marker="o", markersize=3, linestyle="none")
             ax.invert_yaxis()
-            low, best, high = (layout.number(v) for v in (each.low, each.estimate, each.high))
-            ax.set(title=f"{each.channel}: {best} s, 95 % interval {low} to {high} s", xlabel="delay [s]")
+            low, best, high = (layout.number(v) for v in (delay.low, delay.estimate, delay.high))
+            ax.set(title=f"{delay.channel}: {best} s, 95 % interval {low} to {high} s", xlabel="delay [s]")
     return figure
 
 
-def edges_of(late: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the edges of some BINS bars, each as wide as a whole number of the delays' smallest difference.
+def edges_of(delays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the edges of about BINS bars, each as wide as a whole number of the delays' smallest difference.
 
-    Of delays in whole ticks every bar so holds as many ticks as any other: none is empty for its width alone.
+    So every bar contains the same number of ticks if delays are whole ticks.
     """
-    values = np.unique(late)
+    values = np.unique(delays)
     step = float(np.diff(values).min()) if len(values) > 1 else max(float(values[0]) / BINS, 1e-3)
     width = step * max(np.ceil((values[-1] - values[0]) / step / BINS), 1)
     first = values[0] - step / 2
-    many = int(np.floor((values[-1] - first) / width)) + 1
-    return np.asarray(first + width * np.arange(many + 1))
+    n_bins = int(np.floor((values[-1] - first) / width)) + 1
+    return np.asarray(first + width * np.arange(n_bins + 1))

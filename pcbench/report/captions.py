@@ -266,9 +266,9 @@ def profiles_note(figure: Figure) -> str:
     return f"Higher is better above; {ranks}."
 
 
-def honesty_note(run: pd.DataFrame) -> str:
+def consistency_note(run: pd.DataFrame) -> str:
     """Return how to read the NEES over time, of a frame of `one_run.frame_of`."""
-    many = one_run.runs_of(run)
+    many = one_run.count_runs(run)
     mean = f", as a mean over {many} runs" if many > 1 else ""
     band = "Above the band an observer is optimistic, below it pessimistic."
     return f"NEES: the squared error divided by the observer's covariance{mean}. {band}"
@@ -302,7 +302,7 @@ def profiles(matrix: Regrets) -> str:
     )
 
 
-def honesty(run: pd.DataFrame) -> str:
+def consistency(run: pd.DataFrame) -> str:
     """Return each observer's mean NEES over the second half of a run."""
     late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
     texts = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
@@ -352,9 +352,9 @@ def fair(table: pd.DataFrame) -> str:
     return f"The values of {n_observers} observers differ by up to {_join(ratios)} gains: {', '.join(values)}."
 
 
-def where(result: Result, part: pd.DataFrame, cell: int) -> str:
+def describe_grid_point(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
-    titles = frames.titles(result, part)
+    titles = frames.axis_titles(result, part)
     texts = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
     return ", ".join(texts) or (FIRST_VALUES if frames.varying_axes(part) else "")
 
@@ -385,7 +385,7 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
     verdicts = limit_verdicts.points(part.assign(**{axis: part[axis].abs()}) if by_size else part, axis, limit)
     each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in verdicts.items())
     which = quantity(number(limit), unit) + (" (twice the least mean)" if threshold is None else "")
-    below = "Significantly below" if frames.runs_of(part) else "Below"
+    below = "Significantly below" if frames.count_runs(part) else "Below"
     return f"{below} {which}{f', by the size of {frames.label(axis)}' if by_size else ''}: {each}."
 
 

@@ -58,7 +58,7 @@ def experiment(result: Result, scenario: str) -> Experiment:
     for name, values in study_axes.items():
         if name.startswith("plant."):
             what = f"plant parameter {name.removeprefix('plant.').replace('_', ' ')}"
-            facts.append(Fact(what, " | ".join(map(_plain, values)), len(values) > 1))
+            facts.append(Fact(what, " | ".join(map(_value_text, values)), len(values) > 1))
     numbers, matrices = numbers_of(s), list[tuple[str, list[list[str]]]]()
     if nonlinear(s):
         parameters = [f"{p} {number(getattr(numbers, p))}" for p in parameters_of(entry_of(s))]
@@ -123,7 +123,7 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row(
             "control",
             "options of the controller",
-            lambda options: ", ".join(f"{k} {_plain(v)}" for k, v in options.items()),
+            lambda options: ", ".join(f"{k} {_value_text(v)}" for k, v in options.items()),
         ),
         Row("unknown_input", "unknown input", _source),
         Row("x0", "initial state x(0)", states, always=True),
@@ -176,7 +176,7 @@ def _observer(cell: Cell, label: str) -> str:
     options = {k: v for k, v in cell.options[label].model_dump(exclude_defaults=True).items() if v is not None}
     if not options or (label in cell.user_observers and is_absent(cell.user_observers[label])):
         return label
-    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in options.items())})"
+    return f"{label} ({', '.join(f'{k} {_value_text(v)}' for k, v in options.items())})"
 
 
 def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
@@ -218,10 +218,10 @@ def _each(values: Sequence[float | str], units: list[str]) -> str:
     return words[0] if len(set(words)) == 1 else frames.name_values(names, words)
 
 
-def _plain(value: object) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number(value)
-    return f"[{', '.join(map(_plain, value))}]" if isinstance(value, list | tuple) else str(value)
+    return f"[{', '.join(map(_value_text, value))}]" if isinstance(value, list | tuple) else str(value)
 
 
 class Option(NamedTuple):

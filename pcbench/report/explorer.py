@@ -124,7 +124,7 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
     grid = Grid(list(dict.fromkeys(stats.observer)), sorted(set(stats.cell)))
     points = stats.drop_duplicates("cell").sort_values("cell").reset_index(drop=True)
     points = frames.simplify_axes(result, points)
-    titles = frames.titles(result, points)
+    titles = frames.axis_titles(result, points)
     axes, places = [], []
     for name in frames.varying_axes(points):
         words = [frames.word(name, v) for v in points[name]]
@@ -137,7 +137,7 @@ def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
         "observers": [names.index(name) for name in grid.observers],
         "axes": axes,
         "cells": list(zip(*places, strict=True)) if places else [()],
-        "lost": _plain(diverged) if (diverged > 0).any() else None,
+        "lost": _rounded(diverged) if (diverged > 0).any() else None,
         "signals": [_signal(result, scenario, signal, grid) for signal in signals],
     }
 
@@ -177,18 +177,18 @@ def _signal(result: Result, scenario: str, signal: str, grid: Grid) -> Table:
         if POOLED.get(name, name) in COMPARED and (rows.exact or name not in POOLED) and len(grid.observers) > 1:
             series[name] |= _comparison(rows, comparisons.get(name, {}), grid)
         if band := by_metric.get(BANDS.get(name, "")):
-            series[name] |= {"band_low": _plain(band.values("ci_low")), "band_high": _plain(band.values("ci_high"))}
+            series[name] |= {"band_low": _rounded(band.values("ci_low")), "band_high": _rounded(band.values("ci_high"))}
     unit = str(by_metric["mae"].columns["unit"][0]) if "mae" in by_metric else str(stats.unit.iloc[0])
     return {"name": printable(signal.replace("_", " ")), "unit": printable(unit), "series": series}
 
 
 def _series(rows: Rows) -> Table:
     mean, low, high, runs = (rows.values(column) for column in ("mean", "ci_low", "ci_high", "n"))
-    out = {"unit": printable(str(rows.columns["unit"][0])), "mean": _plain(_round_to_zero(mean))}
+    out = {"unit": printable(str(rows.columns["unit"][0])), "mean": _rounded(_round_to_zero(mean))}
     if (high > low).any():
-        out |= {"low": _plain(low), "high": _plain(high)}
+        out |= {"low": _rounded(low), "high": _rounded(high)}
     same = len(np.unique(runs[np.isfinite(runs)])) == 1
-    return out | {"n": int(np.nanmax(runs)) if same else _plain(runs)}
+    return out | {"n": int(np.nanmax(runs)) if same else _rounded(runs)}
 
 
 def _round_to_zero(mean: Numbers) -> Numbers:
@@ -214,7 +214,7 @@ def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Ta
             for i in present
         }
         pairs = comparisons.get(cell, [])
-        standing = ranking.stood(list(each.values()), pairs)
+        standing = ranking.standing_of(list(each.values()), pairs)
         first = standing.order[0]
         if not np.isfinite(each[first]["mean"]):
             continue
@@ -229,8 +229,8 @@ def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Ta
                 i = grid.observers.index(row["observer_b" if row["observer_a"] == first else "observer_a"])
                 p[i, j], diff_se[i, j] = row["p_holm"], row["se"]
     half = _half_width(rows, best, diff_se)
-    out = {"best": best.tolist(), "verdict": _plain(verdict), "p": _plain(p, 2)}
-    return out | ({"half": _plain(half, 4)} if np.isfinite(half).any() else {})
+    out = {"best": best.tolist(), "verdict": _rounded(verdict), "p": _rounded(p, 2)}
+    return out | ({"half": _rounded(half, 4)} if np.isfinite(half).any() else {})
 
 
 def _half_width(rows: Rows, best: NDArray[np.int64], diff_se: Numbers) -> Numbers:
@@ -248,7 +248,7 @@ def _half_width(rows: Rows, best: NDArray[np.int64], diff_se: Numbers) -> Number
         return np.where(common, np.array(t) * np.sqrt(np.maximum(variance, 0.0)), np.nan)
 
 
-def _plain(values: Numbers | Iterable[float], digits: int = DIGITS) -> list[float | int | None]:
+def _rounded(values: Numbers | Iterable[float], digits: int = DIGITS) -> list[float | int | None]:
     """Return numbers, observer by observer, with few digits; None for one that is not finite."""
     flat = np.asarray(values, float).ravel()
     short = (float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in flat)

@@ -70,7 +70,7 @@ def cell_of(result: Result, scenario: str, options: FigureOptions) -> int:
     return frames.key_cell(result, scenario, signals[0], options.metric) if signals else 0
 
 
-class Place(NamedTuple):
+class ScenarioData(NamedTuple):
     """A scenario with the data of all its figures."""
 
     result: Result
@@ -81,32 +81,35 @@ class Place(NamedTuple):
     options: FigureOptions
 
 
-def places(
+def scenario_data(
     result: Result, scenarios: list[str], options: FigureOptions, progress: Progress = SILENT
-) -> dict[str, Place]:
+) -> dict[str, ScenarioData]:
     """Return scenarios with their runs over time and operation counts; what is not stored is computed."""
     at = {scenario: cell_of(result, scenario, options) for scenario in scenarios}
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
         costs = {name: threads.submit(observer_costs.frame_of, result.study, name, result.out, at[name]) for name in at}
         runs = one_run.of_scenarios(result.study, at, result.out, options.seed, progress)
-        return {name: Place(result, name, cell, runs[name], costs[name].result(), options) for name, cell in at.items()}
+        return {
+            name: ScenarioData(result, name, cell, runs[name], costs[name].result(), options)
+            for name, cell in at.items()
+        }
 
 
-def of_scenario(place: Place) -> Iterator[tuple[str | None, Iterator[Picture]]]:
+def of_scenario(place: ScenarioData) -> Iterator[tuple[str | None, Iterator[Picture]]]:
     """Yield the figures of each signal of a scenario, and those of all signals (None)."""
     for signal in frames.signals_with_metric(place.result, place.scenario, place.options.signals, place.options.metric):
         yield signal, of_signal(place, signal)
     yield None, of_all_signals(place)
 
 
-def of_signal(place: Place, signal: str) -> Iterator[Picture]:
+def of_signal(place: ScenarioData, signal: str) -> Iterator[Picture]:
     """Yield the figures of one signal of a scenario, in the order of the page."""
     result, scenario, cell, run, costs, options = place
     here: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
     every = frames.rows(result, scenario, signal, options.metric)
     part, axes = every[every.cell == cell], frames.varying_axes(every)
-    at, titles = frames.values_at(every, cell), frames.titles(result, every)
+    at, titles = frames.values_at(every, cell), frames.axis_titles(result, every)
     words, unit = describe_metric(options.metric, signal), unit_of(every)
     title = words[0].upper() + words[1:]
     if table := ratios_of(result, scenario, signal, options.metric, cell):
@@ -122,8 +125,8 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, seed, options.paper)
         text = captions.bands(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.bands_note(figure))
-    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.ALONE in set(every.observer):
-        alone = fault_tolerance.part_of_alone(result, scenario, signal, options.metric)
+    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.MODEL_ONLY in set(every.observer):
+        alone = fault_tolerance.ratio_to_model_only(result, scenario, signal, options.metric)
         text = captions.tolerances(fault_tolerance.tolerances(alone))
         figure = plots.bearing(result, **here)
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
@@ -131,7 +134,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         x, y = frames.map_axes(every)
         axes_text = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
         figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, options.metric)
-        note = captions.winners_note(standings, figure, frames.runs_of(every))
+        note = captions.winners_note(standings, figure, frames.count_runs(every))
         yield Picture(f"{name}-winners", f"Winners over {axes_text}", figure, captions.winners(standings), note)
         rest = {a: v for a, v in at.items() if a not in (x, y)}
         figure = plots.heatmaps(result, at=rest, **here)
@@ -169,7 +172,7 @@ def of_signal(place: Place, signal: str) -> Iterator[Picture]:
         yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), note)
 
 
-def of_all_signals(place: Place) -> Iterator[Picture]:
+def of_all_signals(place: ScenarioData) -> Iterator[Picture]:
     """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
     result, scenario, cell, run, _, options = place
     name = title_of_scenario(result.study, scenario).replace("/", "-")
@@ -179,7 +182,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         rest = {a: v for a, v in frames.values_at(stats, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=options.paper)
         part = frames.fix_axes(stats, [x, y], rest)
-        titles = frames.titles(result, stats)
+        titles = frames.axis_titles(result, stats)
         title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
     yield from _consistency(place)
@@ -187,9 +190,9 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         seed = result.study.first_seed if options.seed is None else options.seed
         figure, note = (
             time_series.draw_nees(result, run, scenario, cell, seed, options.paper),
-            captions.honesty_note(run),
+            captions.consistency_note(run),
         )
-        yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.honesty(run), note)
+        yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.consistency(run), note)
     if transforms := calibration_curves.transforms_of(result, scenario, cell):
         figure, text = (
             plots.calibration(result, scenario=scenario, cell=cell, paper=options.paper),
@@ -202,7 +205,7 @@ def of_all_signals(place: Place) -> Iterator[Picture]:
         yield Picture("fair", "Published, designed and tuned gains", figure, text, note)
 
 
-def _consistency(place: Place) -> Iterator[Picture]:
+def _consistency(place: ScenarioData) -> Iterator[Picture]:
     """Yield the NEES of the filters over each axis, if there is any: exact moments may have no answer."""
     result, scenario, cell, _, _, options = place
     stats = result.stats[(result.stats.scenario == scenario) & (result.stats.metric == NEES)]
@@ -214,7 +217,7 @@ def _consistency(place: Place) -> Iterator[Picture]:
         name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-nees-over-{axis.replace('.', '-')}"
         yield Picture(
             name,
-            f"Consistency over {frames.label(axis, frames.titles(result, every))}",
+            f"Consistency over {frames.label(axis, frames.axis_titles(result, every))}",
             plots.curves(result, axis, scenario=scenario, metric=NEES, at=rest, paper=options.paper),
             captions.curve(frames.fix_axes(every, [axis], rest), axis, ""),
             captions.NEES,
@@ -254,7 +257,7 @@ def write(
 
 def _all(result: Result, options: FigureOptions, progress: Progress) -> Iterator[Picture]:
     """Draw every figure, the runs that they show simulated when the first is asked for."""
-    for place in places(result, result.scenarios, options, progress).values():
+    for place in scenario_data(result, result.scenarios, options, progress).values():
         for _, pictures in of_scenario(place):
             yield from pictures
     yield from of_study(result, options)

@@ -10,7 +10,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import with_unit
 from pcbench.plots.palette import styles
-from pcbench.report.captions import where
+from pcbench.report.captions import describe_grid_point
 from pcbench.report.summary import Ranking, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
@@ -105,8 +105,8 @@ def _cell(
         cells.append("-" if np.isnan(rate["mean"]) else number_format.fraction(rate) if rate["mean"] else "none")
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
-    at = where(result, part, cell)
-    unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.runs_of(part)
+    at = describe_grid_point(result, part, cell)
+    unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.count_runs(part)
     heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
     heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]
     columns = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
@@ -154,7 +154,7 @@ def _count_wins(result: Result, s: Ranking, metric: str) -> Headline:
         title = f"All {len(standings)} grid points"
         return Headline(title, [heads[0], *heads[3:]], rows, result.unproven(s.scenario).strip())
     ties = int((standings.winner == "").sum())
-    runs = frames.runs_of(part) > 0
+    runs = frames.count_runs(part) > 0
     better, test = ("significantly better", " (paired t-test, Holm, 5 %)") if runs else ("better", "")
     note = (
         f"An observer wins a grid point if it is {better} than every other{test}. {ties} of {len(standings)} grid points have "

@@ -92,7 +92,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
     rows, tallies = summary.rows(result, rankings), summary.tally(rankings)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
-    places = figures.places(result, names, options, progress)
+    places = figures.scenario_data(result, names, options, progress)
     progress.begin("scenarios", len(names))
     sections = list[Section]()
     for name, anchor in anchors.items():
@@ -171,7 +171,7 @@ def share_styles(html: str) -> str:
     return html.replace("</style>", f"{rules}</style>", 1)
 
 
-def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
+def _section(place: figures.ScenarioData, anchor: str, bands: bool) -> Section:
     """Return the section of a scenario; without `bands` it lacks the largest figures, those of the error over time."""
     result, scenario, options, parts = place.result, place.scenario, place.options, []
     for signal, pictures in figures.of_scenario(place):
@@ -183,7 +183,7 @@ def _section(place: figures.Place, anchor: str, bands: bool) -> Section:
             result, scenario, signal, options.metric, place.cell, None if parts else place.costs
         )
         every = frames.rows(result, scenario, signal, options.metric)
-        at = captions.where(result, every, place.cell)
+        at = captions.describe_grid_point(result, every, place.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, entries))
     return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
@@ -222,7 +222,7 @@ def _method(result: Result) -> str:
     """Return what is averaged over, for all numbers that have an interval."""
     runs = "Intervals are 95 % over runs."
     runs += " All observers use the same random numbers." if result.stats.observer.nunique() > 1 else ""
-    return runs if frames.runs_of(result.stats) else "The values are exact over all noise."
+    return runs if frames.count_runs(result.stats) else "The values are exact over all noise."
 
 
 def _provenance(result: Result) -> list[tuple[str, str]]:

@@ -112,7 +112,7 @@ def _row(result: Result, s: Ranking) -> Row:
     loop = loop[(loop.metric == LOOP) & loop.observer.isin(best_rows.observer)]
     significance = "one observer"
     if multiples[1:]:
-        significance = _significance(standings, wins, best, deterministic, frames.runs_of(part))
+        significance = _significance(standings, wins, best, deterministic, frames.count_runs(part))
     return Row(
         scenario=scenario,
         title=title_of_scenario(result.study, scenario),

@@ -36,10 +36,10 @@ def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
     several runs do not vary, and for exact numbers (n = 0), there is no test, and any difference counts. If all observers
     diverged, none is the best.
     """
-    return stood(_records(rows), _records(pairs))
+    return standing_of(_records(rows), _records(pairs))
 
 
-def stood(rows: list[Row], pairs: list[Row]) -> Standing:
+def standing_of(rows: list[Row], pairs: list[Row]) -> Standing:
     """Return the same from rows that are dicts, which is much faster for many grid points."""
     order = sorted(rows, key=_rank)
     best, rest, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
@@ -68,7 +68,7 @@ def _rank(row: Row) -> tuple[float, bool, float]:
 
 
 def by_cell(rows: pd.DataFrame) -> dict[int, list[Row]]:
-    """Return the rows of stats or pairs by grid point, in order, as input of `stood`."""
+    """Return the rows of stats or pairs by grid point, in order, as input of `standing_of`."""
     out: dict[int, list[Row]] = {}
     for row in _records(rows):
         out.setdefault(row["cell"], []).append(row)

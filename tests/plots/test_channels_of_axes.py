@@ -59,7 +59,7 @@ def result():
 def test_values_of_an_axis_name_their_channels(result, name, label, values, first):
     (axis,) = AXES[name]
     rows = frames.rows(result(name), "lti", "angle", "steady_rmse")
-    titles = frames.titles(result(name), rows)
+    titles = frames.axis_titles(result(name), rows)
     assert frames.label(axis, titles) == label
     assert list(dict.fromkeys(rows[axis])) == values
     assert frames.format_axis(axis, values[0], titles) == first

@@ -7,7 +7,7 @@ from matplotlib.colors import to_hex, to_rgb
 from pcbench.plots import maps
 from pcbench.plots.layout import PAPER
 from pcbench.plots.maps import Cell, Side
-from pcbench.plots.palette import on
+from pcbench.plots.palette import ink_on
 
 X = Side("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])
 Y = Side("delay [s]", [round(0.02 * i, 2) for i in range(30)])
@@ -60,7 +60,7 @@ def test_values_of_lines_are_read_on_their_colour_and_none_is_cut(figure):
         texts = [text for text in ax.texts if text.get_text() != "Table 2"]
         assert texts
         for text in texts:
-            assert to_hex(text.get_color()).upper() == on(COLOURS[float(text.get_text()) < 0.3])
+            assert to_hex(text.get_color()).upper() == ink_on(COLOURS[float(text.get_text()) < 0.3])
             box, frame = text.get_window_extent(), ax.bbox
             assert frame.x0 <= box.x0 <= box.x1 <= frame.x1
             assert frame.y0 <= box.y0 <= box.y1 <= frame.y1

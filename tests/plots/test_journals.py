@@ -58,7 +58,7 @@ def complaints(figure):
 
 def pictures(result, paper):
     shown = figures.DEFAULTS._replace(paper=paper)
-    for place in figures.places(result, result.scenarios, shown).values():
+    for place in figures.scenario_data(result, result.scenarios, shown).values():
         for _, each in figures.of_scenario(place):
             yield from each
     yield from figures.of_study(result, shown)

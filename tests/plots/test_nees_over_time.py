@@ -67,7 +67,7 @@ def test_errors_in_time_stand_between_three_standard_deviations(result, run):
 
 @pytest.mark.ci
 def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result, run):
-    here = figures.Place(result, "lti", 0, run, None, figures.DEFAULTS)
+    here = figures.ScenarioData(result, "lti", 0, run, None, figures.DEFAULTS)
     found = {p.name: p for p in figures.of_all_signals(here)}
     assert "kf-bold" in found[f"{result.study.name}-nees"].text
     silent = here._replace(run=run[~run.kind.str.startswith("nees")])

@@ -114,7 +114,7 @@ def test_plants_of_a_closed_loop_are_no_pale_lines(loop):
 @pytest.mark.ci
 def test_consistency_is_shown_over_each_axis(loop):
     """Which filter is optimistic at a grid point that the other figures do not show."""
-    place = figures.Place(loop, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
+    place = figures.ScenarioData(loop, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
     pictures = {p.name: p for p in figures.of_all_signals(place)}
     picture = pictures["ncs-two-state-held-nees-over-noise_std"]
     (ax,) = picture.figure.axes
@@ -131,7 +131,7 @@ def test_without_numbers_no_consistency_is_shown_and_one_observer_is_compared_wi
     """As of exact moments that have no answer: the axes were empty, and the observer was infinitely worse than none."""
     lost = copy(loop)
     lost.stats = loop.stats.assign(mean=np.nan)
-    place = figures.Place(lost, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
+    place = figures.ScenarioData(lost, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
     assert [p.name for p in figures.of_all_signals(place) if "nees" in p.name] == []
     assert [row.ratios for row in summary.rows(lost, summary.rankings(lost, "steady_rmse", ["position"]))] == [[]]
 
@@ -166,8 +166,8 @@ def test_titles_of_axes_that_vary_alone_name_those_that_differ_from_the_first_va
     result = pcbench.run(study | {"vary": "one-at-a-time", "axes": axes})
     assert plots.curves(result, "delay").legends[0].get_title().get_text() == "cart/white, 2 runs"
     rows = frames.rows(result, "cart/white", "position", "steady_rmse")
-    assert captions.where(result, rows, 0) == captions.FIRST_VALUES
-    assert captions.where(result, rows, 1) in ("loss 0.5", "delay 0.4 s", "sampling jitter 0.02 s")
+    assert captions.describe_grid_point(result, rows, 0) == captions.FIRST_VALUES
+    assert captions.describe_grid_point(result, rows, 1) in ("loss 0.5", "delay 0.4 s", "sampling jitter 0.02 s")
     figure = plots.bearing(result)
     assert "divided by that of model-only [-]" in figure.legends[0].get_title().get_text().replace("\n", " ")
     assert all("\n" not in ax.get_title("left") for ax in figure.axes)

@@ -64,7 +64,7 @@ def test_matrix_shows_numbers_and_hatches_what_is_not_significant(result):
         scenario, cell = situation.split(", delay ")[0], int(situation.endswith("0.4 s"))
         tests = pairs[(pairs.scenario == scenario) & (pairs.cell == cell)]
         for y, observer in enumerate(found.observers):
-            assert at[x, y].get_text() == regret_matrix.number(mine.ratio[observer])
+            assert at[x, y].get_text() == regret_matrix.format_ratio(mine.ratio[observer])
             assert (at[x, y].get_fontweight() == "bold") == (observer == best)
             both = tests[tests.observer_a.isin([observer, best]) & tests.observer_b.isin([observer, best])]
             tie = observer != best and (both.p_holm.iloc[0] > 0.05 or both.prob_a_better.iloc[0] == 0.5)
@@ -178,7 +178,7 @@ def test_the_caption_names_who_has_the_least_error_because_lost_runs_are_left_ou
     [(1.0, "1"), (1.004, "1"), (1.04, "1.04"), (1.4, "1.4"), (64.2, "64"), (213.0, "210"), (np.inf, "∞")],
 )
 def test_ratio_has_two_digits(ratio, text):
-    assert regret_matrix.number(ratio) == text
+    assert regret_matrix.format_ratio(ratio) == text
 
 
 def test_one_situation_has_no_matrix():

@@ -56,7 +56,7 @@ TESTED = r"95 %|interval|Holm|t-test|signific|seed|\bruns?\b"
 
 
 def pictures(result):
-    for place in figures.places(result, result.scenarios, figures.DEFAULTS).values():
+    for place in figures.scenario_data(result, result.scenarios, figures.DEFAULTS).values():
         for _, each in figures.of_scenario(place):
             yield from each
     yield from figures.of_study(result, figures.DEFAULTS)

@@ -184,7 +184,9 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p
-        for p in figures.of_signal(figures.places(result, ["cart/white"], figures.DEFAULTS)["cart/white"], "position")
+        for p in figures.of_signal(
+            figures.scenario_data(result, ["cart/white"], figures.DEFAULTS)["cart/white"], "position"
+        )
         if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes

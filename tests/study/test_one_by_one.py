@@ -66,7 +66,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
 def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
     axes = {"noise_std": [0.3, 0.6, 0.9], "process_std": [[0.02, 0.1]], "assumed_noise_scale": [1.0, 2.0]}
     result = pcbench.run(EACH | {"axes": axes})
-    parts = fault_tolerance.part_of_alone(result, "lti", "a", "steady_rmse")
+    parts = fault_tolerance.ratio_to_model_only(result, "lti", "a", "steady_rmse")
     stats = result.stats[(result.stats.signal == "a") & (result.stats.metric == "steady_rmse")].set_index(
         ["observer", "cell"]
     )["mean"]
@@ -74,7 +74,7 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
         parts.part, [stats["kf", c] / stats["model-only", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
     )
     assert len(plots.bearing(result).axes) == 2
-    where = figures.Place(result, "lti", 0, None, None, figures.DEFAULTS)
+    where = figures.ScenarioData(result, "lti", 0, None, None, figures.DEFAULTS)
     names = {picture.name for picture in figures.of_signal(where, "a")}
     assert {f"{EACH['name']}-a-{each}" for each in ("bearing", "over-noise_std", "over-assumed_noise_scale")} <= names
     assert not {f"{EACH['name']}-a-{each}" for each in ("winners", "map")} & names
@@ -141,7 +141,7 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
         np.testing.assert_allclose([mean[o, "steady_rmse", cell] for o in LABELS], errors, rtol=0.01)
         assert mean["kf", "nees", cell] == pytest.approx(nees, rel=0.01)
     found = fault_tolerance.tolerances(
-        fault_tolerance.part_of_alone(result, "cart/gaussian", "position", "steady_rmse")
+        fault_tolerance.ratio_to_model_only(result, "cart/gaussian", "position", "steady_rmse")
     )
     bounded = found[np.isfinite(found.most)].set_index(["axis", "observer"]).most
     rows = re.findall(r"^\| `(\w+)` \[\w+\] \| (.*) \|$", page, re.M)

@@ -17,7 +17,7 @@ from pcbench.scenarios import Scenario
 from pcbench.statistics import OF_RUN
 from pcbench.statistics.consistency import BANDS, Band, exact_band, verdict
 from pcbench.statistics.number_format import as_good, difference, fraction, interval, mark_uncertified
-from pcbench.statistics.ranking import by_cell, most_often, standing, stood
+from pcbench.statistics.ranking import by_cell, most_often, standing, standing_of
 from pcbench.study import scenarios_of, title_of_scenario
 
 LONGEST = 48  # largest number of rows of a closing table; for more, wins are counted
@@ -198,7 +198,7 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     """Print how many grid points each observer wins; return notes for the reader."""
     part, metric, name = view.stats[view.stats.metric == view.metric], view.metric, view.scenario.name
     pairs = by_cell(view.pairs)
-    leaders = [stood(rows, pairs.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
+    leaders = [standing_of(rows, pairs.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
     wins = Counter(group[0] for group in leaders if len(group) == 1)
     shared_wins = Counter(observer for group in leaders for observer in group)
     rows = [(str(observer), g, g["mean"].median()) for observer, g in part.groupby("observer", sort=False)]
