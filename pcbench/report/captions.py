@@ -18,7 +18,6 @@ from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.crossings import Crossing
 from pcbench.plots.labels import SAME, describe_runs, quantity, times
-from pcbench.plots.layout import number as exact
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
 from pcbench.plots.time_series import INTERVAL, LOOPED, SIGMA, over
@@ -44,7 +43,7 @@ WORDS = {"published": "published", "design": "designed", "tuned": "tuned"}
 
 def number(value: float) -> str:
     """Return a number with three digits."""
-    return exact(float(f"{value:.3g}")) if np.isfinite(value) else "-"
+    return layout.number(float(f"{value:.3g}")) if np.isfinite(value) else "-"
 
 
 def ratios(table: Ratios) -> str:
@@ -63,26 +62,26 @@ def best(table: Ratios) -> str:
     methods = ["95 % paired intervals"] * table.intervals
     methods += ["paired t-test with Holm's correction at 5 %"] if table.has_p else ["runs do not vary"]
     worse, ties = (rest.observer[which].to_list() for which in (rest.worse, ~rest.worse.astype(bool)))
-    beaten = f"{_join(worse)} {'is' if len(worse) == 1 else 'are'}" if ties else "every other observer is"
-    beaten = beaten if worse else "no other observer is"
+    comparison = f"{_join(worse)} {'is' if len(worse) == 1 else 'are'}" if ties else "every other observer is"
+    comparison = comparison if worse else "no other observer is"
     method = ", ".join([f"{runs:,} runs", *methods])
-    less = rest.observer[rest.ratio < 1 / SAME].to_list()
-    first = f"{table.best} has the {'fewest diverged runs' if less else 'least error'}"
+    with_less_error = rest.observer[rest.ratio < 1 / SAME].to_list()
+    lead = f"{table.best} has the {'fewest diverged runs' if with_less_error else 'least error'}"
     if table.exact:
-        return f"{first}, and {beaten} worse (exact values)."
+        return f"{lead}, and {comparison} worse (exact values)."
     elif runs < 2:
-        return f"{first}; one run shows no significance."
-    beaten += " significantly worse"
+        return f"{lead}; one run shows no significance."
+    comparison += " significantly worse"
     if ties and worse:
-        beaten += f", {_join(ties)} {'is' if len(ties) == 1 else 'are'} not"
-    beaten += (
-        f"; {_join(less)} {'have' if less[1:] else 'has'} less error in the runs that do not diverge" if less else ""
-    )
-    return f"{first}, and {beaten} ({method})."
+        comparison += f", {_join(ties)} {'is' if len(ties) == 1 else 'are'} not"
+    if with_less_error:
+        verb = "have" if with_less_error[1:] else "has"
+        comparison += f"; {_join(with_less_error)} {verb} less error in the runs that do not diverge"
+    return f"{lead}, and {comparison} ({method})."
 
 
 def regrets(matrix: Regrets) -> tuple[str, str]:
-    """Return the largest ratios and the least errors, and which observer has the smallest ratio, in a sentence."""
+    """Return two texts: the largest ratios and the least errors; and which observer has the smallest worst ratio."""
     largest = matrix.largest
     text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
     if matrix.unit:
@@ -93,16 +92,15 @@ def regrets(matrix: Regrets) -> tuple[str, str]:
         method += f", hatched: {matrix.tie}{test}"
     if not np.isfinite(largest[first]):
         return text, f"Each observer diverges in a situation ({method})."
-    many = f"{len(matrix.situations)} situations"
+    situations = f"{len(matrix.situations)} situations"
     if not all(map(np.isfinite, largest.values())):
         method += "; ∞: every run diverged" if matrix.runs else "; ∞: the expected value is infinite"
     if largest[first] < SAME:
-        each = [observer for observer in matrix.observers if largest[observer] < SAME]
-        note = (
-            f"{_join(each)} {'have' if each[1:] else 'has'} the least error, or one as good, in all {many} ({method})."
-        )
+        leaders = [observer for observer in matrix.observers if largest[observer] < SAME]
+        verb = "have" if leaders[1:] else "has"
+        note = f"{_join(leaders)} {verb} the least error, or one as good, in all {situations} ({method})."
     else:
-        worst = f"at most {times(largest[first])} the least error in {many}"
+        worst = f"at most {times(largest[first])} the least error in {situations}"
         note = f"{first} has the smallest worst case: its error is {worst} ({method})."
     rows = matrix.rows[(matrix.rows.ratio < SAME) & matrix.rows.worse]  # least error, but not among the best
     if (matrix.rows.best & (matrix.rows.ratio > SAME)).any():
@@ -130,12 +128,10 @@ def medians(part: pd.DataFrame, unit: str) -> str:
 
 def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
     """Return the first and the last value of each observer's curve."""
-    words = any(
-        isinstance(v, str) or v is None or not isfinite(v) for v in part[axis]
-    )  # then they are drawn in their order
-    first = part if words else part.sort_values(axis, kind="stable")
+    has_words = any(isinstance(v, str) or v is None or not isfinite(v) for v in part[axis])  # drawn in their order
+    rows = part if has_words else part.sort_values(axis, kind="stable")
     texts = []
-    for observer, group in first.groupby("observer", sort=False):
+    for observer, group in rows.groupby("observer", sort=False):
         a, b = group.iloc[0], group.iloc[-1]
         ends = [
             f"{_format_value(row['mean'], unit, _absent(row['diverged']))} at {frames.word(axis, row[axis])}"
@@ -181,20 +177,19 @@ def convergence(part: pd.DataFrame) -> str:
 
 def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
     """Return the last values of one run, and how to read its `figure`; the errors of `exact` observers are exact over time."""
-    kinds = (
-        ["truth", "estimate", "target"] if (run.kind == "truth").any() else ["error"]
-    )  # of a user's own there is no more
+    # a user's own error has no truth
+    kinds = ["truth", "estimate", "target"] if (run.kind == "truth").any() else ["error"]
     ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.last()
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
-    errors, of = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
+    errors, with_rms = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
     log, sentences = errors.get_yscale() == "log", []
     if LOOPED in keys_of(figure):
         sentences.append("Thick lines: the plant of each observer's loop, in the observer's colour.")
     if any(_leaves(ax) for ax in figure.axes):
         sentences.append("Values outside the range are cut off.")
     if errors.collections:
-        sentences.append(f"Bands: 90 % of the errors over {over(of, exact)}.")
-    if of - exact and (errors.collections or log):
+        sentences.append(f"Bands: 90 % of the errors over {over(with_rms, exact)}.")
+    if with_rms - exact and (errors.collections or log):
         sentences.append(f"The {one_run.RUNS} runs are this one and those of the next seeds.")
     if any(line.get_label() == INTERVAL for ax in figure.axes[:-1] for line in ax.get_lines()):
         sentences.append("Thin lines about an estimate: the ends of its interval.")
@@ -260,16 +255,16 @@ def profiles_note(figure: Figure) -> str:
     """Return how to read performance profiles."""
     if len(figure.axes) == 1:
         return "Higher is better."
-    ranks = (
+    ranks_text = (
         "a long bar below is a rank that new runs would not change (paired bootstrap over runs, mean over situations)"
     )
-    return f"Higher is better above; {ranks}."
+    return f"Higher is better above; {ranks_text}."
 
 
 def consistency_note(run: pd.DataFrame) -> str:
     """Return how to read the NEES over time, of a frame of `one_run.frame_of`."""
-    many = one_run.count_runs(run)
-    mean = f", as a mean over {many} runs" if many > 1 else ""
+    count = one_run.count_runs(run)
+    mean = f", as a mean over {count} runs" if count > 1 else ""
     band = "Above the band an observer is optimistic, below it pessimistic."
     return f"NEES: the squared error divided by the observer's covariance{mean}. {band}"
 
@@ -304,8 +299,8 @@ def profiles(matrix: Regrets) -> str:
 
 def consistency(run: pd.DataFrame) -> str:
     """Return each observer's mean NEES over the second half of a run."""
-    late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
-    texts = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
+    second_half = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
+    texts = [f"{o} {number(mean)}" for o, mean in second_half.groupby("series", sort=False).value.mean().items()]
     return f"Mean over the second half: {', '.join(texts)}."
 
 
@@ -354,13 +349,11 @@ def fair(table: pd.DataFrame) -> str:
 
 def describe_grid_point(result: Result, part: pd.DataFrame, cell: int) -> str:
     """Return the values of the axes at a grid point; empty if none varies."""
-    titles = frames.axis_titles(result, part)
-    texts = [frames.format_axis(*each, titles) for each in frames.named_values(result, part, cell).items()]
-    return ", ".join(texts) or (FIRST_VALUES if frames.varying_axes(part) else "")
+    return ", ".join(frames.describe_values(result, part, cell)) or (FIRST_VALUES if frames.varying_axes(part) else "")
 
 
 def _format_value(value: float, unit: str, otherwise: str = "diverged") -> str:
-    """Return a value with its unit; NaN: what there is `otherwise`."""
+    """Return a value with its unit; NaN: `otherwise` in brackets."""
     return "infinite" if np.isinf(value) else f"({otherwise})" if np.isnan(value) else quantity(number(value), unit)
 
 
@@ -377,16 +370,16 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
     """
     if not all(isinstance(v, int | float) and isfinite(v) for v in part[axis]):
         return ""
-    least = part["mean"].min()
-    limit = TIMES * least if threshold is None else threshold
+    least_mean = part["mean"].min()
+    limit = TIMES * least_mean if threshold is None else threshold
     if not limit > 0:
         return ""
     by_size = bool((part[axis] < 0).any() and (part[axis] <= 0).all())
     verdicts = limit_verdicts.points(part.assign(**{axis: part[axis].abs()}) if by_size else part, axis, limit)
-    each = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in verdicts.items())
-    which = quantity(number(limit), unit) + (" (twice the least mean)" if threshold is None else "")
-    below = "Significantly below" if frames.count_runs(part) else "Below"
-    return f"{below} {which}{f', by the size of {frames.label(axis)}' if by_size else ''}: {each}."
+    answers = "; ".join(f"{observer} {_words(limit_verdicts.answer(points))}" for observer, points in verdicts.items())
+    limit_text = quantity(number(limit), unit) + (" (twice the least mean)" if threshold is None else "")
+    comparison = "Significantly below" if frames.count_runs(part) else "Below"
+    return f"{comparison} {limit_text}{f', by the size of {frames.label(axis)}' if by_size else ''}: {answers}."
 
 
 def _words(a: Answer) -> str:

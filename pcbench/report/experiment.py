@@ -23,13 +23,7 @@ from pcbench.study.grid import Cell, cells
 from pcbench.study.labels import base_in, entry_in
 from pcbench.study.plugins.user_observers import ABSENT, is_absent
 
-COMPARED = (
-    "x0",
-    *axes.AXES,
-    "input",
-    "unknown_input",
-    "duration",
-)  # fields that are compared with the publication
+COMPARED = ("x0", *axes.AXES, "input", "unknown_input", "duration")  # fields that are compared with the publication
 MANY = 8  # rows or columns up to which matrices are printed
 LONG = 120  # letters of a value at most
 
@@ -52,9 +46,9 @@ class Experiment(NamedTuple):
 
 def experiment(result: Result, scenario: str) -> Experiment:
     """Return the description of a scenario over all its grid points."""
-    every = cells(result.study, scenario)
-    s, study_axes = every[0].scenario, result.study.axes
-    facts = [fact for row in _field_rows(s) if (fact := _fact(row, every, study_axes))]
+    grid_cells = cells(result.study, scenario)
+    s, study_axes = grid_cells[0].scenario, result.study.axes
+    facts = [fact for row in _field_rows(s) if (fact := _fact(row, grid_cells, study_axes))]
     for name, values in study_axes.items():
         if name.startswith("plant."):
             what = f"plant parameter {name.removeprefix('plant.').replace('_', ' ')}"
@@ -69,8 +63,8 @@ def experiment(result: Result, scenario: str) -> Experiment:
         for name, m in ((name, np.asarray(m)) for name, m in model_matrices.items() if m is not None):
             if np.any(m) and max(m.shape) <= MANY:
                 matrices.append((name, [[number(float(v)) for v in row] for row in m]))
-    facts.append(Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options)))
-    return Experiment(_describe_source(result, s, every), facts, matrices)
+    facts.append(Fact("observers", "; ".join(_observer(grid_cells[0], o) for o in grid_cells[0].options)))
+    return Experiment(_describe_source(result, s, grid_cells), facts, matrices)
 
 
 class Row(NamedTuple):
@@ -78,7 +72,7 @@ class Row(NamedTuple):
 
     name: str
     title: str
-    say: Callable[[Any], str]
+    to_text: Callable[[Any], str]
     always: bool = False
 
 
@@ -88,8 +82,8 @@ def _field_rows(s: Scenario) -> list[Row]:
 
     def states(values: ArrayLike) -> str:
         if np.ndim(values) > 1:  # a root of the covariance of a tick's noise
-            each = states(np.linalg.norm(np.asarray(values, float), axis=1))
-            return f"{each}, correlated by a matrix {' x '.join(map(str, np.shape(values)))}"
+            norms = states(np.linalg.norm(np.asarray(values, float), axis=1))
+            return f"{norms}, correlated by a matrix {' x '.join(map(str, np.shape(values)))}"
         pairs = zip(np.ravel(values), signals, strict=False)
         return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in pairs)
 
@@ -104,10 +98,10 @@ def _field_rows(s: Scenario) -> list[Row]:
         return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
 
     def by_text(text: str, infinite: str = "") -> Callable[[Any], str]:
-        def one(v: float) -> str:
+        def format_one(v: float) -> str:
             return infinite if v == np.inf else text.format(number(v))
 
-        return lambda values: ", ".join(dict.fromkeys(map(one, np.atleast_1d(values))))
+        return lambda values: ", ".join(dict.fromkeys(map(format_one, np.atleast_1d(values))))
 
     forms = {
         "states": states,
@@ -131,15 +125,13 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row("prior_std", "prior std of x(0)", states, always=True),
     ]
 
-    def each_row(say: Callable[[Any], str]) -> Callable[[Any], str]:
-        return lambda values: " | ".join(map(say, values)) if has_rows(values) else say(values)
+    def each_row(to_text: Callable[[Any], str]) -> Callable[[Any], str]:
+        return lambda values: " | ".join(map(to_text, values)) if has_rows(values) else to_text(values)
 
-    field_rows = [
-        Row(
-            f.name, f.title, (each_row if f.rows else lambda say: say)(forms.get(f.form) or by_text(f.form, f.infinite))
-        )
-        for f in FIELDS
-    ]
+    field_rows = []
+    for f in FIELDS:
+        to_text = forms.get(f.form) or by_text(f.form, f.infinite)
+        field_rows.append(Row(f.name, f.title, each_row(to_text) if f.rows else to_text))
     last = [
         Row("delay_sine", "variation of the delays", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
         Row("continuous", "measurements", lambda v: "continuous, without noise"),
@@ -157,17 +149,18 @@ def _field_rows(s: Scenario) -> list[Row]:
     return [*first, *field_rows, *last]
 
 
-def _fact(row: Row, every: list[Cell], study_axes: Mapping[str, object]) -> Fact | None:
+def _fact(row: Row, grid_cells: list[Cell], study_axes: Mapping[str, object]) -> Fact | None:
     """Return the line of a field over all grid points; None if it has its default at all of them."""
-    values = list({str(v): v for c in every for v in (c.scenario.value(row.name),)}.values())
+    values = list({str(v): v for c in grid_cells for v in (c.scenario.value(row.name),)}.values())
     record = RECORD_OF.get(row.name)
-    default = None if row.always or not record else getattr(every[0].scenario, record)._field_defaults.get(row.name)
+    scenario = grid_cells[0].scenario
+    default = None if row.always or not record else getattr(scenario, record)._field_defaults.get(row.name)
     zeros = isinstance(values[0], tuple) and default == () and not any(np.ravel(values[0]))
     if not row.always and len(values) == 1 and (values[0] == default or zeros):
         return None
-    loop = bool(every[0].scenario.loop.controller)
+    loop = bool(scenario.loop.controller)
     unset = "same as the delay" if default is None and loop else "none" if default in (None, 0.0, (), "") else ""
-    words = [unset if unset and v == default and not row.always else row.say(v) for v in values]
+    words = [unset if unset and v == default and not row.always else row.to_text(v) for v in values]
     return Fact(row.title, " | ".join(words), row.name in study_axes and len(values) > 1)
 
 
@@ -179,22 +172,22 @@ def _observer(cell: Cell, label: str) -> str:
     return f"{label} ({', '.join(f'{k} {_value_text(v)}' for k, v in options.items())})"
 
 
-def _describe_source(result: Result, s: Scenario, every: list[Cell]) -> str:
+def _describe_source(result: Result, s: Scenario, grid_cells: list[Cell]) -> str:
     """Return the source of a scenario, and the fields that this study has changed."""
     original = SCENARIOS.get(s.name)
     if original is None or s.user_code:
         return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
-    differ = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != original.value(f) for c in every)]
-    differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
-    differ += ["initial state (random)"] if every[0].choices.random_initial_state else []
-    but = f" This study changes: {', '.join(differ)} (see below)." if differ else ""
-    return f"As published: {s.summary}. Source: {s.source}.{but}"
+    names = [f.replace("_", " ") for f in COMPARED if any(c.scenario.value(f) != original.value(f) for c in grid_cells)]
+    names += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
+    names += ["initial state (random)"] if grid_cells[0].choices.random_initial_state else []
+    changes = f" This study changes: {', '.join(names)} (see below)." if names else ""
+    return f"As published: {s.summary}. Source: {s.source}.{changes}"
 
 
 def _plant(s: Scenario, name: str) -> str:
     """Return the summary of a plant, or its name if its code is not loaded."""
-    summary, many = entry_of(s).summary, len(states_of(s))
-    return f"linear plant of the study, {many} states" if name == LTI else name if summary == ABSENT else summary
+    summary, n_states = entry_of(s).summary, len(states_of(s))
+    return f"linear plant of the study, {n_states} states" if name == LTI else name if summary == ABSENT else summary
 
 
 def _source(sources: Sources) -> str:
@@ -241,10 +234,10 @@ def rows(result: Result) -> list[Option]:
     If the code of an observer is not loaded, its defaults are unknown, and all options of the study are returned.
     """
     study, options = result.study, dict[Option, None]()
-    every = scenarios_of(study)
+    scenarios = scenarios_of(study)
     for scenario in study.scenarios:
         for observer in observers_of(study, scenario):
-            options |= dict.fromkeys(_options(study, every[scenario], observer))
+            options |= dict.fromkeys(_options(study, scenarios[scenario], observer))
     return list(options)
 
 

@@ -112,9 +112,9 @@ def _look(name: str, style: Style) -> Table:
 def _metric(name: str) -> Table:
     is_ranked = POOLED.get(name, name) in COMPARED
     title = WORDS.get(name) or describe_metric(name, "{}").removesuffix(" of {}" if name in OF_RUN else "")
-    about = "errors and times" if is_ranked else "consistency of filters" if name in (*BANDS, *INSIDE) else "other"
+    group = "errors and times" if is_ranked else "consistency of filters" if name in (*BANDS, *INSIDE) else "other"
     means = (MEANING | OF_STATS).get(name, "")
-    return {"title": title, "means": means, "about": about, "ranked": is_ranked, "expected": EXPECTED.get(name)}
+    return {"title": title, "means": means, "about": group, "ranked": is_ranked, "expected": EXPECTED.get(name)}
 
 
 def _scenario(result: Result, scenario: str, names: list[str]) -> Table:
@@ -204,7 +204,7 @@ def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Ta
     mean, n, diverged = _round_to_zero(rows.values("mean")), rows.values("n"), rows.values("diverged")
     for j, cell in enumerate(grid.cells):
         present = [i for i in range(len(grid.observers)) if np.isfinite(n[i, j])]
-        each = {
+        by_observer = {
             grid.observers[i]: {
                 "observer": grid.observers[i],
                 "mean": mean[i, j],
@@ -214,14 +214,14 @@ def _comparison(rows: Rows, comparisons: dict[int, list[Row]], grid: Grid) -> Ta
             for i in present
         }
         pairs = comparisons.get(cell, [])
-        standing = ranking.standing_of(list(each.values()), pairs)
+        standing = ranking.standing_of(list(by_observer.values()), pairs)
         first = standing.order[0]
-        if not np.isfinite(each[first]["mean"]):
+        if not np.isfinite(by_observer[first]["mean"]):
             continue
         best[j] = grid.observers.index(first)
         for i in present:
             name = grid.observers[i]
-            diverges = ranking.diverges_more(each[first], each[name])
+            diverges = ranking.diverges_more(by_observer[first], by_observer[name])
             equal = name in (first, *standing.alike)
             verdict[i, j] = 2 if diverges else 1 if not equal else 0 if standing.leaders else 3
         for row in pairs:

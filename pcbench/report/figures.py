@@ -71,7 +71,7 @@ def cell_of(result: Result, scenario: str, options: FigureOptions) -> int:
 
 
 class ScenarioData(NamedTuple):
-    """A scenario with the data of all its figures."""
+    """A scenario with what its figures show: a grid point, its run over time, and operation counts."""
 
     result: Result
     scenario: str
@@ -95,25 +95,27 @@ def scenario_data(
         }
 
 
-def of_scenario(place: ScenarioData) -> Iterator[tuple[str | None, Iterator[Picture]]]:
+def of_scenario(source: ScenarioData) -> Iterator[tuple[str | None, Iterator[Picture]]]:
     """Yield the figures of each signal of a scenario, and those of all signals (None)."""
-    for signal in frames.signals_with_metric(place.result, place.scenario, place.options.signals, place.options.metric):
-        yield signal, of_signal(place, signal)
-    yield None, of_all_signals(place)
+    for signal in frames.signals_with_metric(
+        source.result, source.scenario, source.options.signals, source.options.metric
+    ):
+        yield signal, of_signal(source, signal)
+    yield None, of_all_signals(source)
 
 
-def of_signal(place: ScenarioData, signal: str) -> Iterator[Picture]:
+def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
     """Yield the figures of one signal of a scenario, in the order of the page."""
-    result, scenario, cell, run, costs, options = place
-    here: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
+    result, scenario, cell, run, costs, options = source
+    selection: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
-    every = frames.rows(result, scenario, signal, options.metric)
-    part, axes = every[every.cell == cell], frames.varying_axes(every)
-    at, titles = frames.values_at(every, cell), frames.axis_titles(result, every)
-    words, unit = describe_metric(options.metric, signal), unit_of(every)
+    stats = frames.rows(result, scenario, signal, options.metric)
+    part, axes = stats[stats.cell == cell], frames.varying_axes(stats)
+    at, titles = frames.values_at(stats, cell), frames.axis_titles(result, stats)
+    words, unit = describe_metric(options.metric, signal), unit_of(stats)
     title = words[0].upper() + words[1:]
     if table := ratios_of(result, scenario, signal, options.metric, cell):
-        figure, text, note = plots.ratios(result, cell=cell, **here), captions.ratios(table), captions.best(table)
+        figure, text, note = plots.ratios(result, cell=cell, **selection), captions.ratios(table), captions.best(table)
         yield Picture(f"{name}-ratios", f"{title} relative to the best", figure, text, note)
     seed = result.study.first_seed if options.seed is None else options.seed
     if run is not None:
@@ -125,28 +127,36 @@ def of_signal(place: ScenarioData, signal: str) -> Iterator[Picture]:
         figure = errors_over_time.draw_bands(result, run, scenario, signal, cell, seed, options.paper)
         text = captions.bands(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-bands", "Size of the error over time", figure, text, captions.bands_note(figure))
-    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.MODEL_ONLY in set(every.observer):
+    if result.study.vary == "one-at-a-time" and axes and fault_tolerance.MODEL_ONLY in set(stats.observer):
         alone = fault_tolerance.ratio_to_model_only(result, scenario, signal, options.metric)
         text = captions.tolerances(fault_tolerance.tolerances(alone))
-        figure = plots.bearing(result, **here)
+        figure = plots.bearing(result, **selection)
         yield Picture(f"{name}-bearing", "Error relative to model-only over each axis", figure, text, captions.BEARING)
     if len(axes) >= 2 and result.study.vary == "all":
-        x, y = frames.map_axes(every)
+        x, y = frames.map_axes(stats)
         axes_text = f"{frames.label(x, titles)} and {frames.label(y, titles)}"
-        figure, standings = plots.winners(result, **here), frames.standings(result, scenario, signal, options.metric)
-        note = captions.winners_note(standings, figure, frames.count_runs(every))
+        figure, standings = (
+            plots.winners(result, **selection),
+            frames.standings(result, scenario, signal, options.metric),
+        )
+        note = captions.winners_note(standings, figure, frames.count_runs(stats))
         yield Picture(f"{name}-winners", f"Winners over {axes_text}", figure, captions.winners(standings), note)
-        rest = {a: v for a, v in at.items() if a not in (x, y)}
-        figure = plots.heatmaps(result, at=rest, **here)
-        text = captions.ranges(frames.fix_axes(every, [x, y], rest), unit)
+        other_values = {a: v for a, v in at.items() if a not in (x, y)}
+        figure = plots.heatmaps(result, at=other_values, **selection)
+        text = captions.ranges(frames.fix_axes(stats, [x, y], other_values), unit)
         yield Picture(f"{name}-map", f"{title} over {axes_text}", figure, text, captions.map_note(figure))
     for axis in axes:
-        rest = {a: v for a, v in at.items() if a != axis}
-        values = frames.fix_axes(every, [axis], rest)
+        other_values = {a: v for a, v in at.items() if a != axis}
+        values = frames.fix_axes(stats, [axis], other_values)
         limit = captions.describe_limit(values, axis, unit, options.threshold)
-        figure = plots.curves(result, axis, at=rest, **here)
-        where: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "at": rest}
-        changes = captions.crossings(crossings.changes(result, axis, **where)) if axis in CROSSED else ""
+        figure = plots.curves(result, axis, at=other_values, **selection)
+        axis_selection: TomlTable = {
+            "scenario": scenario,
+            "signal": signal,
+            "metric": options.metric,
+            "at": other_values,
+        }
+        changes = captions.crossings(crossings.changes(result, axis, **axis_selection)) if axis in CROSSED else ""
         yield Picture(
             name=f"{name}-over-{axis.replace('.', '-')}",
             title=f"{title} over {frames.label(axis, titles)}",
@@ -155,10 +165,10 @@ def of_signal(place: ScenarioData, signal: str) -> Iterator[Picture]:
             note=captions.curves_note(figure, " ".join(filter(None, [limit, changes]))),
         )
     if frames.has_spread(part):
-        figure, caption = plots.distributions(result, cell=cell, **here), f"Distribution over runs: {words}"
+        figure, caption = plots.distributions(result, cell=cell, **selection), f"Distribution over runs: {words}"
         yield Picture(f"{name}-distribution", caption, figure, captions.medians(part, unit), "Left is better.")
         text = captions.convergence(frames.convergence(result, scenario, signal, options.metric, cell))
-        figure = plots.convergence(result, cell=cell, **here)
+        figure = plots.convergence(result, cell=cell, **selection)
         yield Picture(
             f"{name}-convergence",
             "Width of the interval against the number of runs",
@@ -167,37 +177,33 @@ def of_signal(place: ScenarioData, signal: str) -> Iterator[Picture]:
             captions.CONVERGENCE,
         )
     if costs is not None and (costs["sample"] > 0).sum() > 1:
-        figure = plots.cost(result, costs, cell=cell, **here)
+        figure = plots.cost(result, costs, cell=cell, **selection)
         note = captions.costs_note(figure, costs)
         yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), note)
 
 
-def of_all_signals(place: ScenarioData) -> Iterator[Picture]:
+def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
     """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
-    result, scenario, cell, run, _, options = place
+    result, scenario, cell, run, _, options = source
     name = title_of_scenario(result.study, scenario).replace("/", "-")
     stats = frames.rows(result, scenario, None, "divergence_rate")
     if result.study.vary == "all" and len(frames.varying_axes(stats)) >= 2 and (stats["mean"] > 0).any():
         x, y = frames.map_axes(stats)
-        rest = {a: v for a, v in frames.values_at(stats, cell).items() if a not in (x, y)}
-        figure = plots.divergence(result, scenario=scenario, at=rest, paper=options.paper)
-        part = frames.fix_axes(stats, [x, y], rest)
+        other_values = {a: v for a, v in frames.values_at(stats, cell).items() if a not in (x, y)}
+        figure = plots.divergence(result, scenario=scenario, at=other_values, paper=options.paper)
+        part = frames.fix_axes(stats, [x, y], other_values)
         titles = frames.axis_titles(result, stats)
         title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
         yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
-    yield from _consistency(place)
+    yield from _consistency(source)
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if options.seed is None else options.seed
-        figure, note = (
-            time_series.draw_nees(result, run, scenario, cell, seed, options.paper),
-            captions.consistency_note(run),
-        )
+        figure = time_series.draw_nees(result, run, scenario, cell, seed, options.paper)
+        note = captions.consistency_note(run)
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.consistency(run), note)
     if transforms := calibration_curves.transforms_of(result, scenario, cell):
-        figure, text = (
-            plots.calibration(result, scenario=scenario, cell=cell, paper=options.paper),
-            captions.calibration(transforms),
-        )
+        figure = plots.calibration(result, scenario=scenario, cell=cell, paper=options.paper)
+        text = captions.calibration(transforms)
         yield Picture(f"{name}-calibration", "Calibration of the filters", figure, text, captions.CALIBRATION)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=options.paper)
@@ -205,21 +211,21 @@ def of_all_signals(place: ScenarioData) -> Iterator[Picture]:
         yield Picture("fair", "Published, designed and tuned gains", figure, text, note)
 
 
-def _consistency(place: ScenarioData) -> Iterator[Picture]:
+def _consistency(source: ScenarioData) -> Iterator[Picture]:
     """Yield the NEES of the filters over each axis, if there is any: exact moments may have no answer."""
-    result, scenario, cell, _, _, options = place
+    result, scenario, cell, _, _, options = source
     stats = result.stats[(result.stats.scenario == scenario) & (result.stats.metric == NEES)]
     if not np.isfinite(stats["mean"]).any():
         return
-    every = frames.rows(result, scenario, None, NEES)
-    for axis in frames.varying_axes(every):
-        rest = {a: v for a, v in frames.values_at(every, cell).items() if a != axis}
+    nees_stats = frames.rows(result, scenario, None, NEES)
+    for axis in frames.varying_axes(nees_stats):
+        other_values = {a: v for a, v in frames.values_at(nees_stats, cell).items() if a != axis}
         name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-nees-over-{axis.replace('.', '-')}"
         yield Picture(
             name,
-            f"Consistency over {frames.label(axis, frames.axis_titles(result, every))}",
-            plots.curves(result, axis, scenario=scenario, metric=NEES, at=rest, paper=options.paper),
-            captions.curve(frames.fix_axes(every, [axis], rest), axis, ""),
+            f"Consistency over {frames.label(axis, frames.axis_titles(result, nees_stats))}",
+            plots.curves(result, axis, scenario=scenario, metric=NEES, at=other_values, paper=options.paper),
+            captions.curve(frames.fix_axes(nees_stats, [axis], other_values), axis, ""),
             captions.NEES,
         )
 
@@ -256,7 +262,7 @@ def write(
 
 
 def _all(result: Result, options: FigureOptions, progress: Progress) -> Iterator[Picture]:
-    """Draw every figure, the runs that they show simulated when the first is asked for."""
+    """Yield every figure; the runs that they show are simulated before the first one."""
     for place in scenario_data(result, result.scenarios, options, progress).values():
         for _, pictures in of_scenario(place):
             yield from pictures

@@ -9,6 +9,7 @@ import pandas as pd
 from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import with_unit
+from pcbench.plots.lines import COSTS
 from pcbench.plots.palette import styles
 from pcbench.report.captions import describe_grid_point
 from pcbench.report.summary import Ranking, tally
@@ -21,16 +22,16 @@ MARKS = {
     "=": "= is not significant (paired t-test, Holm, 5 %)",
 }
 MOST = 4  # grid points that have their own table; of more, wins are counted
-COSTS = {"sample": "multiplications per sample", "tick": "multiplications per tick", "memory": "bytes of memory"}
-BESIDE = ("rmse", "steady_rmse", "rms_efficiency", "steady_tracking_rmse")  # columns after the metric that ranks
+
+OTHER_METRICS = ("rmse", "steady_rmse", "rms_efficiency", "steady_tracking_rmse")  # columns after the metric that ranks
 
 
 class HeadlineRow(NamedTuple):
     """The row of one observer."""
 
-    cells: list[str]  # in the order of the heads
+    cells: list[str]  # texts, in the order of the heads
     colour: str
-    best: bool  # no other is significantly better
+    is_leader: bool  # no other observer is significantly better
 
 
 class Headline(NamedTuple):
@@ -55,7 +56,7 @@ def headlines(
     win_tables = [_count_wins(result, Ranking(scenario, signal, part, standings), metric)] if len(cells) > MOST else []
     leaders = dict(zip(standings.cell, standings.leaders, strict=True))
     table_cells = [cell] if win_tables else cells
-    tables = [_cell(result, scenario, signal, part, metric, each, leaders[each]) for each in table_cells]
+    tables = [_cell(result, scenario, signal, part, metric, number, leaders[number]) for number in table_cells]
     return win_tables + tables + ([] if costs is None else [_operations(part, costs)])
 
 
@@ -86,29 +87,29 @@ def _cell(
     pairs, wide = pairs[(pairs.metric == metric) & (pairs.cell == cell)], stats.set_index(["observer", "metric"])
     ranking = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     ranking = ranking.set_index("observer")
-    beside = [m for m in BESIDE if m != metric]
+    other_metrics = [m for m in OTHER_METRICS if m != metric]
     rows, better = [], []
     for i, observer in enumerate(ranking.index):
         row = wide.loc[observer]
-        against = number_format.difference(pairs, observer, ranking.index[0]) if i else ""
+        difference = number_format.difference(pairs, observer, ranking.index[0]) if i else ""
         if i and diverges_more(ranking.iloc[0], ranking.iloc[i]):
-            against = "diverges more often"
-        if re.match(r"\(?-\d", against):
+            difference = "diverges more often"
+        if re.match(r"\(?-\d", difference):
             better.append(str(observer))
         rate = row.loc["divergence_rate"]
         cells = [
             number_format.mark_uncertified(observer, [row.loc[metric].certified]),
             number_format.interval(row.loc[metric]),
         ]
-        cells.append(against)
-        cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in beside]
+        cells.append(difference)
+        cells += [number_format.interval(row.loc[m]) if m in row.index else "-" for m in other_metrics]
         cells.append("-" if np.isnan(rate["mean"]) else number_format.fraction(rate) if rate["mean"] else "none")
         rows.append(HeadlineRow(cells, look[observer].colour, observer in leaders))
     first = part[part.cell == cell].iloc[0]
     at = describe_grid_point(result, part, cell)
     unit, n = stats[stats.metric == "rmse"].unit.iloc[0], frames.count_runs(part)
     heads = ["observer", *(with_unit(head, first.unit) for head in (metric, "diff. to best"))]
-    heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in beside] + ["diverged"]
+    heads += [m if m == "rms_efficiency" else with_unit(m, unit) for m in other_metrics] + ["diverged"]
     columns = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
     rows = [row._replace(cells=[row.cells[i] for i in columns]) for row in rows]
     texts = " ".join(text for row in rows for text in row.cells[1:])
@@ -140,7 +141,7 @@ def _count_wins(result: Result, s: Ranking, metric: str) -> Headline:
         cells = [number_format.mark_uncertified(observer, group.certified), str(t.wins), str(t.leads)]
         cells.append("-" if np.isnan(median) else layout.number(float(f"{median:.4g}")))
         cells.append(f"{share:.3g} %" if share else "none")
-        keyed_rows.append(((-t.wins, median), HeadlineRow(cells, t.colour, best=False)))
+        keyed_rows.append(((-t.wins, median), HeadlineRow(cells, t.colour, is_leader=False)))
     rows = [row for _, row in sorted(keyed_rows, key=lambda pair: pair[0])]
     heads = [
         "observer",

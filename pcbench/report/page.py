@@ -31,17 +31,16 @@ from pcbench.study import title_of_scenario
 from pcbench.study.serialize import as_dict
 
 WORDS = {
-    "significant": "better than every other by a paired t-test over the same runs (5 %, with Holm's correction over "
-    "the study's "
-    "comparisons), or the other diverges significantly more often",
+    "significant": "better than every other by a paired t-test over the same runs (5 %, with Holm's correction over the "
+    "study's comparisons), or the other diverges significantly more often",
     "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
     "grid point": "one combination of the values of a study's axes",
 }
-MANY = 4  # scenarios: of more, the size of the error over time is drawn for the first alone, so that a page stays small
-BROAD = 1.25  # columns: broader figures come last, as they have a row of their own
-TWO = 2  # figures of a row: more narrow ones are put into columns, so that a third leaves no half of a row empty
-HEAD = "-ratios"  # the figure that heads the page: of the scenario that comes first
-POLICY = (  # figures have styles of their own, and the icon is an empty picture in the page
+MAX_BANDS = 4  # scenarios; with more, only the first has the size of the error over time, so that a page stays small
+WIDE = 1.25  # columns of the paper; wider figures come last, as each has its own row
+PER_ROW = 2  # figures of a row; if there are more and all are narrow, they are in columns, without a half-empty row
+HEADLINE = "-ratios"  # end of the name of the first figure of the page, of the first scenario
+POLICY = (  # figures have inline styles, and the icon is an empty picture in the page
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'; base-uri 'none'; form-action 'none'"
 )
 SVG, STYLE = re.compile(r"<svg.*?</svg>", re.S), re.compile(r' style="([^"]*)"')
@@ -92,21 +91,21 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
     rows, tallies = summary.rows(result, rankings), summary.tally(rankings)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
-    places = figures.scenario_data(result, names, options, progress)
+    data = figures.scenario_data(result, names, options, progress)
     progress.begin("scenarios", len(names))
     sections = list[Section]()
     for name, anchor in anchors.items():
-        sections.append(_section(places[name], anchor, bands=len(anchors) <= MANY or not sections))
+        sections.append(_section(data[name], anchor, bands=len(anchors) <= MAX_BANDS or not sections))
         progress.step(1)
-    for picture in sections[0].parts[0].pictures if len(anchors) > MANY else ():
+    for picture in sections[0].parts[0].pictures if len(anchors) > MAX_BANDS else ():
         if picture["name"].endswith("-bands"):
             picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
     pictures = (part.pictures for section in sections for part in section.parts)
-    first = next((each.pop(0) for each in pictures if each and each[0]["name"].endswith(HEAD)), None)
-    wide = BROAD * options.paper.width
+    headline_figure = next((each.pop(0) for each in pictures if each and each[0]["name"].endswith(HEADLINE)), None)
+    wide = WIDE * options.paper.width
     overview = sorted(figures.of_study(result, options), key=lambda p: p.figure.get_figwidth() > wide)
-    head = [*([first] if first else []), *map(inline_picture, overview)]
-    narrow = len(head) > TWO and all(p.figure.get_figwidth() <= wide for p in overview)
+    head = [*([headline_figure] if headline_figure else []), *map(inline_picture, overview)]
+    narrow = len(head) > PER_ROW and all(p.figure.get_figwidth() <= wide for p in overview)
     descriptions = MEANING | explorer.OF_STATS | {summary.LOOP: LOOP}
     meaning = {m: descriptions.get(m, "") for m in (options.metric, *ALWAYS)}
     present = {options.metric, *result.stats.metric}
@@ -118,19 +117,19 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         "page.html",
         title=f"Study {result.study.name}",
         unbroken=_unbroken,
-        what=_what(result),
+        description=_describe_study(result),
         metric=options.metric,
         metric_means=meaning[options.metric],
-        sure=_how_sure(result),
+        order_note=_order_note(result),
         method=_method(result),
         head=head,
         column=max((p["width"] for p in head), key=lambda width: float(width.removesuffix("pt"))) if narrow else "",
         tally=tallies,
-        alone=len(tallies) == 1,
+        one_observer=len(tallies) == 1,
         summary=rows,
         tracking=summary.LOOP if any(row.loop for row in rows) else "",
         tracking_means=LOOP,
-        several=any(t.total > len(rows) for t in tallies),
+        many_grid_points=any(t.total > len(rows) for t in tallies),
         anchors=anchors,
         sections=sections,
         options=of_scenario.rows(result),
@@ -144,9 +143,9 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
 
 
 def render(template: str, **words: object) -> str:
-    """Return a template of this folder as HTML, with all words escaped, and with this folder's style and scripts.
+    """Return a template of this folder as HTML, with all `words` escaped, and with this folder's style and scripts.
 
-    The script of the interactive figure is written if `words` contain its numbers.
+    The script of the interactive figure is included if `words` contain its numbers.
     """
     files = ["page.css", "page.js", *(["explorer.js"] if "numbers" in words else [])]
     style, *scripts = ((resources.files("pcbench.report") / name).read_text("utf-8") for name in files)
@@ -171,19 +170,19 @@ def share_styles(html: str) -> str:
     return html.replace("</style>", f"{rules}</style>", 1)
 
 
-def _section(place: figures.ScenarioData, anchor: str, bands: bool) -> Section:
+def _section(source: figures.ScenarioData, anchor: str, bands: bool) -> Section:
     """Return the section of a scenario; without `bands` it lacks the largest figures, those of the error over time."""
-    result, scenario, options, parts = place.result, place.scenario, place.options, []
-    for signal, pictures in figures.of_scenario(place):
+    result, scenario, options, parts = source.result, source.scenario, source.options, []
+    for signal, pictures in figures.of_scenario(source):
         entries = [inline_picture(picture) for picture in pictures if bands or not picture.name.endswith("-bands")]
         if signal is None:
             parts += [Part("All signals", [], "", entries)] if entries else []
             continue
         tables = headline.headlines(
-            result, scenario, signal, options.metric, place.cell, None if parts else place.costs
+            result, scenario, signal, options.metric, source.cell, None if parts else source.costs
         )
-        every = frames.rows(result, scenario, signal, options.metric)
-        at = captions.describe_grid_point(result, every, place.cell)
+        stats = frames.rows(result, scenario, signal, options.metric)
+        at = captions.describe_grid_point(result, stats, source.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, entries))
     return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
@@ -195,18 +194,18 @@ def inline_picture(p: figures.Picture) -> dict[str, str]:
     return texts | {"svg": inline(p.figure, p.name), "width": f"{72 * p.figure.get_figwidth():.0f}pt"}
 
 
-def _what(result: Result) -> str:
+def _describe_study(result: Result) -> str:
     rows = result.stats[result.stats.metric == "mae"]
     scenarios, cells = rows.scenario.nunique(), int(rows.groupby("scenario").cell.nunique().sum())
     observers, runs = list(dict.fromkeys(rows.observer)), int((rows.n + rows.diverged).max())
-    many = f", {cells} combinations of axis values" if cells > scenarios else ""
+    grid_points = f", {cells} combinations of axis values" if cells > scenarios else ""
     seeds = f"with up to {runs:,} runs each" if runs else "exact expected values over all noise"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
-    several = "s" if len(observers) > 1 else ""
-    return f"{len(observers)} observer{several} ({', '.join(observers)}) in {where}{many}, {seeds}."
+    plural = "s" if len(observers) > 1 else ""
+    return f"{len(observers)} observer{plural} ({', '.join(observers)}) in {where}{grid_points}, {seeds}."
 
 
-def _how_sure(result: Result) -> str:
+def _order_note(result: Result) -> str:
     if result.exact:
         return "Numbers without an interval are exact, and so are the differences between them."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
@@ -219,7 +218,7 @@ def _how_sure(result: Result) -> str:
 
 
 def _method(result: Result) -> str:
-    """Return what is averaged over, for all numbers that have an interval."""
+    """Return how all numbers of the page are computed: over runs, or exactly."""
     runs = "Intervals are 95 % over runs."
     runs += " All observers use the same random numbers." if result.stats.observer.nunique() > 1 else ""
     return runs if frames.count_runs(result.stats) else "The values are exact over all noise."

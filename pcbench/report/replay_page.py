@@ -53,17 +53,17 @@ class Section(NamedTuple):
 
 def page(r: Replay, signals: list[str] | None = None) -> str:
     """Return the page's HTML, with some signals (None or empty: all); raise UserError for an unknown one."""
-    about, parts = r.summary, []
-    for each in sections(r, signals, PAPER):
-        pictures = [study_page.inline_picture(p) for p in each.pictures]
-        parts.append(each._asdict() | {"pictures": pictures})
-    seconds = f"{about['rows']:,} measurements, {short(r.end)} s in ticks of {about['dt']:g} s"
-    many = f"{len(r.observers)} observer{'s' * (len(r.observers) > 1)}"
+    recording, parts = r.summary, []
+    for section in sections(r, signals, PAPER):
+        pictures = [study_page.inline_picture(p) for p in section.pictures]
+        parts.append(section._asdict() | {"pictures": pictures})
+    seconds = f"{recording['rows']:,} measurements, {short(r.end)} s in ticks of {recording['dt']:g} s"
+    observers = f"{len(r.observers)} observer{'s' * (len(r.observers) > 1)}"
     return study_page.render(
         "replay.html",
-        title=f"Replay of {about['log']}",
-        what=f"{many} ({', '.join(r.observers)}) with the plant {about['plant']}: {seconds}.",
-        remarks=about["said"],
+        title=f"Replay of {recording['log']}",
+        description=f"{observers} ({', '.join(r.observers)}) with the plant {recording['plant']}: {seconds}.",
+        remarks=recording["said"],
         sections=parts,
         colours={observer: style.colour for observer, style in styles(r.observers).items()},
         meaning=list(MEANING.items()),
@@ -119,12 +119,12 @@ def _tests(r: Replay) -> list[Table]:
 def _errors(r: Replay, signals: list[str]) -> list[Table]:
     """Return the errors against the true states, and the distances to the smoother."""
     out = []
-    since = f"From {r.summary['steady_start']:g} s on (steady_start)."
+    steady_note = f"From {r.summary['steady_start']:g} s on (steady_start)."
     true = [row for row in r.summary["metrics"] if row["metric"] == "steady_rmse"]
-    alike = "Compare distances only between observers with the same assumptions, such as delays and noise."
+    caution = "Compare distances only between observers with the same assumptions, such as delays and noise."
     for title, rows, key, note in (
-        ("steady_rmse: rms error against the true states", true, "value", since),
-        ("rms distance to the smoothed states", r.summary["distances"], "rms", f"{since} {alike}"),
+        ("steady_rmse: rms error against the true states", true, "value", steady_note),
+        ("rms distance to the smoothed states", r.summary["distances"], "rms", f"{steady_note} {caution}"),
     ):
         values = {(row["observer"], row["signal"]): row[key] for row in rows if row["signal"] in signals}
         columns = list(dict.fromkeys(signal for _, signal in values))

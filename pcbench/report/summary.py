@@ -16,9 +16,9 @@ from pcbench.statistics import number_format
 from pcbench.statistics.ranking import most_often
 from pcbench.study import title_of_scenario
 
-MOST = 7  # others that are named in a row
-LOOP = "steady_tracking_rmse"  # says whether a loop settles, as errors of estimates do not
-SURE = 1e-3  # a p-value below it is written as that
+MOST = 7  # largest number of ratios in a row
+LOOP = "steady_tracking_rmse"  # of a closed loop: shows whether it settles, which errors of estimates do not
+MIN_P = 1e-3  # a p-value below it is written as "p < 0.001"
 
 
 class Row(NamedTuple):
@@ -28,12 +28,12 @@ class Row(NamedTuple):
     title: str
     signal: str
     best: list[tuple[str, str]]  # name, colour; empty: all diverge
-    sure: bool  # no other observer is significantly better
+    is_leader: bool  # no other observer is significantly better
     significance: str  # in words
     value: str  # its metric with interval
     loop: str  # its error of tracking with interval; empty: there is no loop with a set point, or that is its metric
     ratios: list[tuple[str, str, str]]  # name, colour, how many times larger
-    score: float  # by which rows are ordered, the largest first
+    score: float  # rows are in order of it, the largest first
 
 
 class Tally(NamedTuple):
@@ -47,7 +47,7 @@ class Tally(NamedTuple):
 
 
 class Ranking(NamedTuple):
-    """How observers stood in one signal of a scenario."""
+    """The standings of observers for one signal of a scenario."""
 
     scenario: str
     signal: str
@@ -56,7 +56,7 @@ class Ranking(NamedTuple):
 
 
 def rankings(result: Result, metric: str, signals: list[str] | None) -> list[Ranking]:
-    """Return how observers stood in every signal shown of every scenario; raise UserError where none has the metric."""
+    """Return the ranking for each signal that is shown of each scenario; raise UserError if none has the metric."""
     out = [
         Ranking(name, s, frames.rows(result, name, s, metric), frames.standings(result, name, s, metric))
         for name in result.scenarios
@@ -70,46 +70,48 @@ def rankings(result: Result, metric: str, signals: list[str] | None) -> list[Ran
 
 
 def rows(result: Result, rankings: list[Ranking]) -> list[Row]:
-    """Return a row for each scenario and signal; scenarios in order of what they tell, or in that of the study."""
-    every = [_row(result, each) for each in rankings]
+    """Return a row for each scenario and signal; scenarios in order of their scores, or in that of the study."""
+    all_rows = [_row(result, ranking) for ranking in rankings]
     if keeps_order(result):
-        return every
+        return all_rows
     score: dict[str, float] = {}
-    for row in every:
+    for row in all_rows:
         score[row.scenario] = max(score.get(row.scenario, -np.inf), row.score)
-    return sorted(every, key=lambda row: -score[row.scenario])
+    return sorted(all_rows, key=lambda row: -score[row.scenario])
 
 
 def keeps_order(result: Result) -> bool:
-    """Return whether a study's own scenarios are shown in its order: they are changes of one, as values of an axis are."""
+    """Return whether scenarios are shown in the study's order: those that it defines itself are often variants of one."""
     return set(result.scenarios) <= set(result.study.tables or {})
 
 
-def tally(every: list[Ranking]) -> list[Tally]:
-    """Return how many grid points of all signals shown each observer wins and leads, the most first."""
-    wins, leads, of = Counter[str](), Counter[str](), Counter[str]()
-    for _, _, part, standings in every:
-        of.update(dict.fromkeys(part.observer, len(standings)))
+def tally(rankings: list[Ranking]) -> list[Tally]:
+    """Return the number of grid points that each observer wins and leads, over all signals that are shown, the most first."""
+    wins, leads, totals = Counter[str](), Counter[str](), Counter[str]()
+    for _, _, part, standings in rankings:
+        totals.update(dict.fromkeys(part.observer, len(standings)))
         wins.update(standings.winner[standings.winner != ""])
         leads.update(observer for each in standings.leaders for observer in each)
-    look = styles(of)
-    return sorted((Tally(o, look[o].colour, wins[o], leads[o], of[o]) for o in of), key=lambda t: (-t.wins, -t.leads))
+    look = styles(totals)
+    tallies = [Tally(o, look[o].colour, wins[o], leads[o], totals[o]) for o in totals]
+    return sorted(tallies, key=lambda t: (-t.wins, -t.leads))
 
 
-def _row(result: Result, s: Ranking) -> Row:
-    scenario, signal, part, standings = s
-    look, several = styles(part.observer), len(standings) > 1
+def _row(result: Result, ranking: Ranking) -> Row:
+    scenario, signal, part, standings = ranking
+    look, has_several = styles(part.observer), len(standings) > 1
     wins = standings.winner[standings.winner != ""].value_counts()
     multiples = _multiples(part)
     best = str(standings.best.iloc[0])
-    if several:  # of equally many cells the least error decides
+    if has_several:  # of equally many cells the least error decides
         best = next((o for o, _ in multiples if wins.get(o, 0) == wins.max()), "") if len(wins) else ""
     deterministic = not frames.has_spread(part) and not result.exact
     lead = np.nanmedian(standings.factor) if standings.factor.notna().any() else np.nan
-    leaders = [best] if several and best else most_often(standings.leaders)[0]
+    leaders = [best] if has_several and best else most_often(standings.leaders)[0]
     unit, best_rows = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
     loop = result.stats_of(scenario, signal)
     loop = loop[(loop.metric == LOOP) & loop.observer.isin(best_rows.observer)]
+    others = [(o, m) for o, m in multiples if multiples[1:] and (has_several or o != best)]
     significance = "one observer"
     if multiples[1:]:
         significance = _significance(standings, wins, best, deterministic, frames.count_runs(part))
@@ -118,11 +120,11 @@ def _row(result: Result, s: Ranking) -> Row:
         title=title_of_scenario(result.study, scenario),
         signal=signal.replace("_", " "),
         best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
-        sure=bool(leaders),
+        is_leader=bool(leaders),
         significance=significance,
         value=_value(best_rows, unit),
         loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
-        ratios=[(o, look[o].colour, times(m)) for o, m in multiples if multiples[1:] and (several or o != best)][:MOST],
+        ratios=[(o, look[o].colour, times(m)) for o, m in others][:MOST],
         score=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
     )
 
@@ -160,13 +162,13 @@ def _significance(standings: pd.DataFrame, wins: pd.Series, best: str, determini
         return "the values are exact"
     if row.winner:
         return "significant" + (
-            f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else ""
+            f", p < {MIN_P:g}" if row.p < MIN_P else f", p = {row.p:.2g}" if np.isfinite(row.p) else ""
         )
     return number_format.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 
 def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
-    """Every observer with its mean over that of the cell's best, the median over cells, the least first."""
+    """Return each observer with its mean divided by that of the cell's best, the median over cells, the least first."""
     wide = part.pivot(index="cell", columns="observer", values="mean")
     least, out = wide.min(axis=1), []
     for observer in dict.fromkeys(part.observer):

@@ -125,7 +125,7 @@ def test_every_output_marks_the_same_observers_in_every_cell(means, monkeypatch)
     marks = sum(map(len, wanted))
     assert (text.markdown([table]).count("**"), latex.latex([table]).count("bfseries")) == (2 * marks, marks)
     shown = headline.headlines(result, "cart/white", "position", "steady_rmse")
-    assert [{row.cells[0] for row in h.rows if row.best} for h in shown] == wanted
+    assert [{row.cells[0] for row in h.rows if row.is_leader} for h in shown] == wanted
     bold = [n for n in re.findall(r"\x1b\[1m([\w-]+)\x1b\[0m", terminal(result).replace(" ", "")) if n in means]
     assert [set(each) for each in _split(bold, wanted)] == wanted
     led = {name: sum(name in each for each in wanted) for name in means}
@@ -151,7 +151,11 @@ def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation at 4 of 4 grid points"
     assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
     (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
-    assert (row.significance, [name for name, _ in row.best], row.sure) == (draw, ["kf", "kf-shifted-innovation"], True)
+    assert (row.significance, [name for name, _ in row.best], row.is_leader) == (
+        draw,
+        ["kf", "kf-shifted-innovation"],
+        True,
+    )
     found = summary.rankings(result, "steady_rmse", None)[0].standings
     assert (
         captions.winners(found)
@@ -166,10 +170,13 @@ def test_of_one_run_each_nothing_is_marked():
     result = study_of(2, runs=1, **CASES["draw"])
     assert not [e for table in layout.tables(result, "steady_rmse") for e in table.entries if e.best]
     assert not [
-        row for h in headline.headlines(result, "cart/white", "position", "steady_rmse") for row in h.rows if row.best
+        row
+        for h in headline.headlines(result, "cart/white", "position", "steady_rmse")
+        for row in h.rows
+        if row.is_leader
     ]
     (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
-    assert (row.significance, row.sure) == ("one run: no significance", False)
+    assert (row.significance, row.is_leader) == ("one run: no significance", False)
 
 
 def test_a_metric_without_tests_has_no_leaders():
@@ -214,7 +221,7 @@ def test_less_error_with_more_diverged_runs_is_explained():
     stats.loc[stats.observer == "ukf", "diverged"] = 2
     pairs.loc[pairs.observer_b == "ukf", ["ci_low", "ci_high"]] = 0.4, 0.6
     (table,) = headline.headlines(result, "cart/white", "position", "steady_rmse")
-    assert [row.cells[0] for row in table.rows if row.best] == ["ekf", "ukf"]
+    assert [row.cells[0] for row in table.rows if row.is_leader] == ["ekf", "ukf"]
     assert (
         "ekf is first because fewer of its runs diverged, though not significantly fewer. The error of ukf is significantly "
         "less, so there is no winner." in table.note
