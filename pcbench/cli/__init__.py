@@ -42,9 +42,7 @@ def main() -> None:
     interrupts.watch()
     sys.unraisablehook = unraisable
     thread_pools.one()
-    os.environ.setdefault(
-        "TF_CPP_MIN_LOG_LEVEL", "3"
-    )  # hide XLA's warnings about slow compilation, which break the progress bar
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's warnings about slow compilation break the progress bar
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # plugins would read the metadata of all packages
     try:
         from pcbench.cli.commands import app
@@ -73,7 +71,7 @@ def main() -> None:
                 f"memory ran out ({first_sentence(error)}), expected more; end other programs, or compute less at a time."
             )
         elif hasattr(error, "format_message"):  # usage errors of the command-line library
-            code = _complain(_of_usage(error))
+            code = _complain(_usage_sentence(error))
         else:
             raise
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is complete
@@ -84,14 +82,11 @@ def main() -> None:
     sys.exit(code)
 
 
-def _of_usage(error: Exception) -> str:
+def _usage_sentence(error: Exception) -> str:
     """Return a usage error as one sentence, with the help command."""
     text = str(error.format_message()).strip()  # type: ignore[attr-defined]
-    text = (
-        text.replace("Value error, ", "")
-        .replace(". Did you mean", "; did you mean")
-        .replace(" Did you mean", "; did you mean")
-    )
+    text = text.replace("Value error, ", "").replace(". Did you mean", "; did you mean")
+    text = text.replace(" Did you mean", "; did you mean")
     context = getattr(error, "ctx", None)
     return f"{text.rstrip('.?')}; see {context.command_path if context else 'pcbench'} --help."
 

@@ -171,9 +171,8 @@ METRICS = {name: MEANING[name] for name in RUN_METRICS if name in MEANING} | {
     "unsettled_rate": "fraction of the other runs whose error left its band after steady_start",
 }
 METRICS |= facts.FURTHER_METRICS
-CATALOGUE: dict[
-    str, tuple[Mapping[str, Any], Callable[[Any], Description]]
-] = {  # by kind: the members, and the function that describes one
+# by kind: the members, and the function that describes one
+CATALOGUE: dict[str, tuple[Mapping[str, Any], Callable[[Any], Description]]] = {
     "observers": (OBSERVERS, observer),
     "scenarios": (SCENARIOS, scenario),
     "plants": (PLANTS, plant),
@@ -183,8 +182,8 @@ CATALOGUE: dict[
     "metrics": ({name: name for name in METRICS}, lambda name: {"summary": METRICS[name], **facts.metric_facts(name)}),
     "choices": (options(Choices), lambda option: {"summary": option["description"]} | option),
 }
-OWN = ("observers", "plants", "controllers", "scenarios")  # kinds that a user can define
-WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  # kinds that `pcbench list` shows
+USER_KINDS = ("observers", "plants", "controllers", "scenarios")  # kinds that a user can define
+DEFAULT_KINDS = ("observers", "scenarios", "plants", "controllers", "studies")  # kinds that `pcbench list` shows
 TITLES = {"choices": "choices (keys of [options.scenario])", "axes": "axes (in addition to plant.PARAMETER)"}
 SINGULAR = {"studies": "study", "axes": "axis"}
 
@@ -207,7 +206,7 @@ def list_catalogue(kind: str, name: str | None = None) -> dict[str, Description]
     reference = plugins[name].reference if name in plugins else name
     if not user_code.is_reference(reference):
         raise unknown(f"list {kind}", f"{singular} (or MODULE:NAME)", name, [*members, *plugins])
-    if kind not in OWN:
+    if kind not in USER_KINDS:
         raise unknown(f"list {kind}", singular, reference, members)
     if kind == "scenarios":
         return {name: describe(parse.scenario_of(reference))}

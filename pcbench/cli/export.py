@@ -53,7 +53,7 @@ def export(
 
         double, single = (files.run_compiled(result, single=is_single) or "" for is_single in (False, True))
         source = "a simulated run" if log is None else log
-        recordings.table(result, files.parse_replay(double), files.parse_replay(single), source, console())
+        recordings.export_table(result, files.parse_replay(double), files.parse_replay(single), source, console())
         print(double.splitlines()[-1] + ", in double precision")
     label = result.about.label
     print(f"{len(paths)} files in {folder}. Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay")

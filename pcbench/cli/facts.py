@@ -17,9 +17,8 @@ from pcbench.study.lti import Lti
 from pcbench.study.scenario_schema import ScenarioTable
 
 Description = dict[str, Any]
-SIGMAS = dict(
-    zip(INSIDE, ("one standard deviation", "two standard deviations", "three standard deviations"), strict=True)
-)
+DEVIATIONS = ("one standard deviation", "two standard deviations", "three standard deviations")
+SIGMAS = dict(zip(INSIDE, DEVIATIONS, strict=True))
 FURTHER_METRICS = {
     **{
         name: f"fraction of runs whose error at tick N-1 is within {many} of the observer"

@@ -32,10 +32,10 @@ def list_(
 
     Example: pcbench list observers pccebo
     """
-    from pcbench.cli.catalogue import TITLES, WITHOUT_WORD, list_catalogue
+    from pcbench.cli.catalogue import DEFAULT_KINDS, TITLES, list_catalogue
     from pcbench.cli.render.tables import Column
 
-    kinds = {kind: list_catalogue(kind, name) for kind in ([what] if what is not None else WITHOUT_WORD)}
+    kinds = {kind: list_catalogue(kind, name) for kind in ([what] if what is not None else DEFAULT_KINDS)}
     if as_json:
         print(json.dumps(kinds, indent=2))
         return
@@ -160,7 +160,6 @@ def words(value: object) -> str:
         return "; ".join(f"{k} {words(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
         texts = [f"[{words(v)}]" if isinstance(v, list) else words(v) for v in value]
-        return (
-            texts[0] if len(set(texts)) == 1 and len(texts) > 1 and not isinstance(value[0], str) else ", ".join(texts)
-        )
+        is_repeated = len(texts) > 1 and len(set(texts)) == 1 and not isinstance(value[0], str)
+        return texts[0] if is_repeated else ", ".join(texts)
     return str(value)

@@ -97,16 +97,8 @@ GROUPS = {  # the pages by kind, in the order of the list
     "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording", "synchronous-sensors"),
     "How-to guides": (
         *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
-        *(
-            "nonlinear-filters",
-            "consistency",
-            "measurement-errors",
-            "send-on-delta",
-            "processor",
-            "closed-loops",
-            "your-own-observer",
-            "your-own-plant",
-        ),
+        *("nonlinear-filters", "consistency", "measurement-errors", "send-on-delta", "processor", "closed-loops"),
+        *("your-own-observer", "your-own-plant"),
         *("recordings", "recording-files", "find-a-delay", "gains", "export-to-c", "large-studies", "paper"),
     ),
     "Concepts": ("timing-model", "glossary", "how-it-works", "exact-evaluation", "limitations"),

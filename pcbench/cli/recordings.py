@@ -45,7 +45,7 @@ def info(
     Examples: pcbench info flight.bag;  pcbench info flight.bag --toml --out flight.toml;  pcbench info flight.toml
     """
     from pcbench.cli.render import recordings
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.recordings import contents, survey
 
     path = Path(file)
@@ -63,7 +63,7 @@ def info(
             write(text) if picture is None else write_new(Path(picture), text, "--out")
             say(*(f"{path.name}: {c.problem}" for c in topics if c.problem))
         elif as_json:
-            print(readable({"log": file, "fields": contents.rows_of(topics)}))
+            print(to_json({"log": file, "fields": contents.rows_of(topics)}))
         else:
             recordings.print_contents(
                 file, contents.rows_of(topics), [c.problem for c in topics if c.problem], console()
@@ -76,7 +76,7 @@ def info(
         save(delays(table), picture)
     if as_json:
         lags = [lag._asdict() for lag in table.attrs["lags"]]
-        print(readable({"log": file, "channels": table.to_dict("records"), "lags": lags}))
+        print(to_json({"log": file, "channels": table.to_dict("records"), "lags": lags}))
     else:
         recordings.channels(table, console())
         if picture is not None:
@@ -157,7 +157,7 @@ def replay(
     """
     setup()
     from pcbench.cli.render import recordings
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.playback import replay
 
     with show_progress(quiet or as_json, "reading the recording") as progress:
@@ -173,7 +173,7 @@ def replay(
             progress=progress,
         )
     if as_json:
-        print(readable(result.summary | {"out": folder}))
+        print(to_json(result.summary | {"out": folder}))
         return
     say(*result.summary["said"])
     if quiet:

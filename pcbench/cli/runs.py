@@ -27,10 +27,8 @@ from pcbench.cli.shared import (
 from pcbench.errors import UserError
 from pcbench.runtime.progress import Progress
 
-AHEAD = (
-    "scipy.special",
-    "pandas",
-)  # modules for statistics and output; pyarrow imports pandas when it first converts a list
+# modules for statistics and output; pyarrow imports pandas when it first converts a list
+EARLY_IMPORTS = ("scipy.special", "pandas")
 SAMPLE = 4  # blocks that are computed again
 
 
@@ -116,9 +114,7 @@ def run(
         from pcbench.report import figures
 
         options = figures.FigureOptions(metric=metric, signals=signals)
-        figures.scenario_data(
-            result, list(result.study.scenarios), options
-        )  # needs the user's code, which is loaded now
+        figures.scenario_data(result, list(result.study.scenarios), options)  # while the user's code is loaded
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": outline.name, "out": into, "provenance": result.provenance, "stats": stats}
@@ -136,14 +132,14 @@ def run(
             from pcbench.cli.render import gains
 
             gains.fair(result.fair, screen)
-        screen.say(results.sentence(result, into))
+        screen.say(results.closing_sentence(result, into))
         screen.say(*(results.timings(result, perf_counter() - start) if timings else []))
         screen.say(f"View the results: pcbench report {into}")
 
 
 def _with_early_imports(progress: Progress, quiet: bool) -> Progress:
     """Return a Progress that also imports the modules for closing and printing once work has begun."""
-    modules = AHEAD if quiet else (*AHEAD, "pcbench.cli.render.results")
+    modules = EARLY_IMPORTS if quiet else (*EARLY_IMPORTS, "pcbench.cli.render.results")
 
     def begin(activity: str, steps: int | None) -> None:
         progress.begin(activity, steps)
@@ -174,9 +170,8 @@ def find_limit(
     axis: Annotated[
         list[str],
         option(
-            "Axis such as sampling_period, delay[0] or plant.lam (see pcbench list axes); given twice: the largest "
-            "value of the "
-            "second axis for each value of the first",
+            "Axis such as sampling_period, delay[0] or plant.lam (see pcbench list axes); given twice: the largest value of "
+            "the second axis for each value of the first",
             metavar="AXIS",
         ),
     ],
@@ -210,7 +205,7 @@ def find_limit(
     """
     setup()
     from pcbench.cli.render import limits
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.limits import find_limit
     from pcbench.study import parse
 
@@ -237,7 +232,7 @@ def find_limit(
             say=say,
         )
     if as_json:
-        print(readable(table.attrs | {"answers": table.to_dict("records")}))
+        print(to_json(table.attrs | {"answers": table.to_dict("records")}))
     elif quiet:
         print(into)
     elif len(axis) > 1:
@@ -365,7 +360,7 @@ def verify(
 def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) -> None:
     """Compare simulated means with exact values, draw the figure if one is requested, and print the verdict."""
     from pcbench.cli.render import folder as screen
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.dataset import validate_exact
 
     validation = validate_exact.check(folder)
@@ -375,7 +370,7 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
         plots.save(plots.quantiles(validation), figure)
     if as_json:
         summary = {"verdict": validation.verdict, "limit": validation.limit, "refused": validation.refusals}
-        print(readable(summary | {"rows": validation.rows.to_dict("records")}))
+        print(to_json(summary | {"rows": validation.rows.to_dict("records")}))
     elif not quiet:
         screen.against_exact(validation, console())
     if len(validation.wrong):
@@ -394,7 +389,7 @@ def compare(
 
     Example: pcbench compare results/quick elsewhere/quick
     """
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.dataset import compare
 
     result = compare.compare(there, here)
@@ -402,7 +397,7 @@ def compare(
         summary = {"rows": len(result.rows), "changed": result.changed, "only": result.only, "made_by": result.made_by}
         summary |= {"same_draws": int(result.rows.same_draws.sum()), "identical": result.identical}
         moved = result.rows[result.rows.changed].to_dict("records")
-        print(readable(summary | {"largest": result.largest, "moved": moved}))
+        print(to_json(summary | {"largest": result.largest, "moved": moved}))
     elif not quiet:
         from pcbench.cli.render import folder
 

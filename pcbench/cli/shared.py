@@ -18,17 +18,7 @@ from pcbench.runtime.progress import Progress
 if TYPE_CHECKING:
     from pcbench.cli.render.tables import Screen
 
-PLAIN = {
-    "±": "+-",
-    "…": "...",
-    "–": "-",
-    "·": ".",
-    "µ": "u",
-    "²": "^2",
-    "→": "->",
-    "≤": "<=",
-    "≥": ">=",
-}  # replacements in ASCII
+ASCII = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}
 WIDE = 100  # width of a table in a file, if COLUMNS is not set
 
 
@@ -38,7 +28,7 @@ def set_ascii_fallback() -> None:
     def in_ascii(error: UnicodeError) -> tuple[str, int]:
         if not isinstance(error, UnicodeEncodeError):
             raise error
-        return "".join(PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end
+        return "".join(ASCII.get(c, "?") for c in error.object[error.start : error.end]), error.end
 
     codecs.register_error("pcbench", in_ascii)
     for stream in (sys.stdout, sys.stderr):

@@ -35,7 +35,7 @@ def design(
     import pyarrow as pa
 
     from pcbench.cli.render import gains
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.dataset import single_table, storage
     from pcbench.gains import design
     from pcbench.runtime import config
@@ -48,12 +48,12 @@ def design(
         if file is not None:
             single_table.write_table(file, pa.Table.from_pandas(table, preserve_index=False))
         if as_json:
-            print(readable(table.to_dict("records")))
+            print(to_json(table.to_dict("records")))
         else:
             gains.trade_off(f"{observer} in {scenario}", table, console())
         return
     if file is not None:
-        _may_write(Path(file))
+        _require_writable(Path(file))
     with config.float64():
         study, cell, result = design.design(scenario, observer, gain=gain, overrides=changes)
         text = design.to_toml(design.as_study(study, cell, observer, result)) if file is not None else ""
@@ -63,7 +63,7 @@ def design(
         storage.write_file(target, Path(file).name, text.encode())
     if as_json:
         fields = result.certificate._asdict()
-        print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))
+        print(to_json({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))
     else:
         screen = console()
         screen.print(f"{observer} in {scenario}", style="bold")
@@ -72,7 +72,7 @@ def design(
             screen.say(f"Run it: pcbench run {file}")
 
 
-def _may_write(out: Path) -> None:
+def _require_writable(out: Path) -> None:
     """Raise UserError if the file exists and is not the output of a design."""
     try:
         text = out.read_text(encoding="utf-8") if out.is_file() else "[resolved.certificate]"
@@ -142,10 +142,10 @@ def tune(
     """
     setup()
     from pcbench.cli.render import gains
-    from pcbench.cli.render.tables import readable
+    from pcbench.cli.render.tables import to_json
     from pcbench.gains import history, tune
 
-    of_runs = {
+    run_options = {
         "--objective": objective,
         "--signal": signal,
         "--optimizer": optimizer,
@@ -153,21 +153,21 @@ def tune(
         "--validation-seeds": validation_seeds,
         "--exact-objective": exact_objective or None,
     }
-    if log is not None and (conflicts := [name for name, value in of_runs.items() if value is not None]):
+    if log is not None and (conflicts := [name for name, value in run_options.items() if value is not None]):
         raise UserError(
             f"{conflicts[0]} has no effect with --log: the objective on a recording is its likelihood; leave "
             f"{' and '.join(conflicts)} out, or --log."
         )
     if log is None:
-        of_a_log = {"--delay": delay, "--find-delay": find_delay, "--max-delay": max_delay}
-        require_effect(of_a_log, "without --log", "leave it out, or give --log")
+        log_options = {"--delay": delay, "--find-delay": find_delay, "--max-delay": max_delay}
+        require_effect(log_options, "without --log", "leave it out, or give --log")
     options: TomlTable = {"budget": tune.BUDGET if budget is None else budget, "out": folder, "overrides": changes}
     options["only"] = None if only is None else names(only)
     with show_progress(quiet or as_json, "designing gains") as options["progress"]:
         if log is not None:
             from pcbench.playback.tuning import tune_log
 
-            on_log = tune_log(
+            log_tuning = tune_log(
                 log, scenario, observer, delay=delay, find_delay=find_delay, max_delay=max_delay, **options
             )
         else:
@@ -183,17 +183,17 @@ def tune(
                 **options,
             )
     if log is not None:
-        if on_log.delays and folder is not None:
+        if log_tuning.delays and folder is not None:
             from pcbench.plots import delay_profiles, save
 
-            save(delay_profiles(on_log.delays), str(Path(folder) / "delay.png"))
+            save(delay_profiles(log_tuning.delays), str(Path(folder) / "delay.png"))
         if as_json:
-            fields = {name: value for name, value in on_log._asdict().items() if name not in ("study", "delays")}
-            fields |= {"delay": {d.channel: d._asdict() for d in on_log.delays}} if find_delay else {}
-            fields["intensities"] = [i._asdict() for i in on_log.intensities]
-            print(readable(fields | {"points": len(on_log.points), "method": "likelihood"}))
+            fields = {name: value for name, value in log_tuning._asdict().items() if name not in ("study", "delays")}
+            fields |= {"delay": {d.channel: d._asdict() for d in log_tuning.delays}} if find_delay else {}
+            fields["intensities"] = [i._asdict() for i in log_tuning.intensities]
+            print(to_json(fields | {"points": len(log_tuning.points), "method": "likelihood"}))
         elif not quiet:
-            gains.tuned_on_log(on_log, observer, log, folder, console())
+            gains.tuned_on_log(log_tuning, observer, log, folder, console())
     elif as_json:
         summary: TomlTable = {"start": tuning.start, "best": tuning.best, "kept_start": tuning.kept_start}
         goal = {"metric": tuning.objective.metric, "signal": tuning.objective.name, "unit": tuning.objective.unit}

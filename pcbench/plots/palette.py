@@ -106,8 +106,8 @@ def styles(labels: Iterable[str]) -> dict[str, Style]:
 
 def _style(base: str, rank: int) -> Style:
     number = sum(map(ord, base))  # by which a user's own observer gets one of these looks
-    dash = USER_DASHES[number % len(USER_DASHES)]
-    user_style = Style(USER_COLOURS[number % len(USER_COLOURS)], dash, "Dv"[number % 2])
+    user_dash = USER_DASHES[number % len(USER_DASHES)]
+    user_style = Style(USER_COLOURS[number % len(USER_COLOURS)], user_dash, "Dv"[number % 2])
     look = LOOKS.get(base, user_style)
     if not rank:
         return look

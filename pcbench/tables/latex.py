@@ -15,7 +15,7 @@ WIDER, BOLD = 1.08, 1.2  # widths of 8 pt letters divided by those of `TYPE`, wh
 COLSEP = 3.0  # points at either side of a column
 LEAST, DAGGER = 24.0, 5.0  # points: of a column, of a mark
 LINES = 48  # of a page, those of the head and the notes excluded
-LINE_END = r"\\{}"  # a bracket behind it is text
+LINE_END = r"\\{}"  # with braces, so that a bracket after it is text
 PART = re.compile(r"part (\d+) of \d+$")
 SPECIAL = {c: rf"\{c}" for c in "{}_%&#$"}
 SPECIAL |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
@@ -30,7 +30,7 @@ NUMBER = re.compile(r"([-+]?[\d.]+)(?:e([-+]?\d+))?")
 
 
 def latex(tables: list[Table], plain: bool = False, journal: str = "ieee") -> str:
-    """Return tables as LaTeX for a journal of JOURNALS; `plain` with no package but LaTeX's own.
+    """Return tables as LaTeX for a journal of JOURNALS; `plain`: without packages.
 
     A table wider than a column is a `table*`. One that is wider than the text, or longer than a page, is split; the captions of
     its parts say so.
@@ -48,11 +48,11 @@ def split(t: Table, column: float, page_width: float) -> Iterator[tuple[Table, b
     widths = [max(w, *(_width(_visible(line)) for line in _lines(h, w))) for h, w in zip(t.heads, widths, strict=True)]
     stub = max(_width(words) for words in [t.stub[-1].text, *(words[-1] for words, _ in t.rows)])
     over = _width(_visible(t.over)) if t.over else 0.0
-    least = max(_width(", ".join(f"{h.text} {word} {h.unit}" for h, word in _place(t, words))) for words, _ in t.rows)
+    widest = max(_width(", ".join(f"{h.text} {word} {h.unit}" for h, word in _place(t, words))) for words, _ in t.rows)
 
     def fits(columns: Sequence[int], room: float) -> bool:
         values = sum(widths[i] + 2 * COLSEP for i in columns)
-        return max(stub + max(values, over + COLSEP), least) <= room
+        return max(stub + max(values, over + COLSEP), widest) <= room
 
     every = range(len(widths))
     wide = not fits(every, column)
@@ -62,9 +62,9 @@ def split(t: Table, column: float, page_width: float) -> Iterator[tuple[Table, b
             break
     parts = [(rows, part) for rows in _pages(t) for part in columns]
     for i, (rows, part) in enumerate(parts, 1):
-        about = t.about + (f", part {i} of {len(parts)}" if len(parts) > 1 else "")
+        title = t.about + (f", part {i} of {len(parts)}" if len(parts) > 1 else "")
         rows = [(words, [entries[k] for k in part]) for words, entries in rows]
-        yield t._replace(about=about, heads=[t.heads[k] for k in part], rows=rows), wide and column < page_width
+        yield t._replace(about=title, heads=[t.heads[k] for k in part], rows=rows), wide and column < page_width
 
 
 def _pages(t: Table) -> list[list[tuple[list[str], list[Entry | None]]]]:
@@ -91,7 +91,7 @@ def _entry_width(e: Entry) -> float:
 
 
 def _width(text: str, bold: bool = False) -> float:
-    """Return the width of a text of 8 pt in points: somewhat more than in Computer Modern, which is wider than Times."""
+    """Return the width of a text of 8 pt in points, somewhat wider than in Computer Modern, which is wider than Times."""
     return TYPE.width_of(text) * POINTS_PER_INCH * (BOLD if bold else WIDER)
 
 
@@ -157,7 +157,7 @@ def _rows(t: Table, plain: bool) -> Iterator[str]:
 
 
 def _over(t: Table, plain: bool) -> list[str]:
-    """The line above the heads that says whose values they are."""
+    """Return the lines above the heads with the axis whose values the heads are."""
     if not t.over:
         return []
     rule = f"2-{len(t.heads) + 1}"
@@ -166,7 +166,7 @@ def _over(t: Table, plain: bool) -> list[str]:
 
 
 def _multiline_head(lines: list[Head], plain: bool) -> str:
-    """The head of a column, one line above the other."""
+    """Return the head of a column, one line above the other."""
     heads = [_head(h, plain) for h in lines]
     return rf"\shortstack[r]{{{LINE_END.join(heads)}}}" if heads[1:] else heads[0]
 
@@ -182,7 +182,7 @@ def _unit(unit: str, plain: bool) -> str:
 
 
 def _power(unit: str) -> str:
-    """A unit with its exponents in braces, more than one digit being one exponent, and all specials of LaTeX escaped."""
+    """Return a unit with its exponents in braces and all special characters of LaTeX escaped."""
     return OF_UNIT.sub(
         lambda m: f"^{{{_power(m[1])}}}" if m[1] else IN_UNITS.get(m[2]) or SPECIAL.get(m[2], m[2]), unit
     )
@@ -202,7 +202,7 @@ def _entry(entry: Entry | None, plain: bool) -> str:
 
 
 def _estimate(text: str, plain: bool) -> str:
-    """An estimate as `number_format` writes it, in LaTeX."""
+    """Return an estimate of `number_format` in LaTeX."""
     if asymmetric := LEANING.fullmatch(text):
         value, low, high = (_number(asymmetric[k], plain) for k in ("value", "low", "high"))
         return f"{value} ({low} to {high})"

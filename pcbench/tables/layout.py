@@ -21,14 +21,14 @@ from pcbench.study import title_of_scenario
 
 
 class Head(NamedTuple):
-    """The head of a column: what, in which unit; empty: none."""
+    """The head of a column, with its unit; empty: none."""
 
     text: str
     unit: str = ""
 
 
 class Entry(NamedTuple):
-    """An estimate in its place."""
+    """An estimate of a table."""
 
     row: Row  # of stats
     best: bool  # no other observer is significantly better
@@ -53,8 +53,8 @@ class Table(NamedTuple):
     """One table; every row begins with as many words as `stub` has heads: the values of axes, and an observer."""
 
     title: str  # of the scenario
-    signal: str  # empty: all that are shown
-    about: str  # what the numbers are
+    signal: str  # empty: each column is a signal
+    about: str  # the caption: what the numbers are
     stub: list[Head]
     heads: list[Head]
     rows: list[tuple[list[str], list[Entry | None]]]
@@ -67,7 +67,7 @@ class Table(NamedTuple):
 
     @property
     def notes(self) -> list[str]:
-        """Return what a reader has to know of it, a sentence each."""
+        """Return the notes of the table, a sentence each."""
         runs = {e.runs for e in self.entries} or {0}
         count = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; skewed intervals by their ends" if any(" .. " in e.text for e in self.entries) else ""
@@ -86,7 +86,7 @@ class Table(NamedTuple):
 
 
 def tables(result: Result, metric: str, signals: list[str] | None = None) -> list[Table]:
-    """Return the tables of every scenario; of None signals those it is known by, of an empty list all.
+    """Return the tables of every scenario; `signals` None: its main signals, empty list: all.
 
     Raises UserError for a metric or a signal that the study does not have.
     """
@@ -117,12 +117,12 @@ def _by_signal(result: Result, scenario: str, metric: str, parts: dict[str, pd.D
 
 
 def _subject(metric: str) -> str:
-    """A metric and what it is of: an interval is of the signal itself."""
+    """Return a metric with "of the error", unless it is one of the signal itself or of the run."""
     return metric if metric in (*INTERVALS, *OF_RUN) else f"{metric} of the error"
 
 
 def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame) -> Iterator[Table]:
-    """Yield the tables of a signal: of axes that vary one at a time, one for each."""
+    """Yield the tables of a signal: one, or one per axis if axes vary one at a time."""
     axes = frames.varying_axes(part)
     if result.study.vary == "one-at-a-time":
         for axis in axes:
@@ -134,11 +134,12 @@ def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.D
 
 def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.DataFrame, axis: str) -> Table:
     """Return the table of a signal with the values of one axis as columns."""
-    titles, row_axes = frames.titles(result, part), [a for a in frames.varying_axes(part) if a != axis]
+    titles, row_axes = frames.axis_titles(result, part), [a for a in frames.varying_axes(part) if a != axis]
     entries = [e for _, cell in part.groupby("cell", sort=False) for e in _entries(result, cell, metric)]
-    by = {tuple(_value(e.row[a]) for a in (*row_axes, "observer", axis)): e for e in entries}
-    values, groups = (list(dict.fromkeys(column)) for column in zip(*((at[-1], at[:-2]) for at in by), strict=True))
-    places = sorted(dict.fromkeys(at[:-1] for at in by), key=lambda place: groups.index(place[:-1]))
+    by_values = {tuple(_value(e.row[a]) for a in (*row_axes, "observer", axis)): e for e in entries}
+    values = list(dict.fromkeys(at[-1] for at in by_values))
+    groups = list(dict.fromkeys(at[:-2] for at in by_values))
+    places = sorted(dict.fromkeys(at[:-1] for at in by_values), key=lambda place: groups.index(place[:-1]))
     unit = part.unit.iloc[0]
     title = title_of_scenario(result.study, scenario)
     about = f"{title}: {_subject(metric)} of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
@@ -148,7 +149,7 @@ def _over_axis(result: Result, scenario: str, metric: str, signal: str, part: pd
         about=about,
         stub=[*(_axis(a, titles[a]) for a in row_axes), Head("observer")],
         heads=[Head(value) for value in values],
-        rows=[_row(place, [by.get((*place, value)) for value in values]) for place in places],
+        rows=[_row(place, [by_values.get((*place, value)) for value in values]) for place in places],
         over=_axis(axis, titles[axis]),
     )
 
@@ -160,7 +161,7 @@ def _row(words: Iterable[str], entries: list[Entry | None]) -> tuple[list[str], 
 
 
 def _axis(name: str, title: frames.AxisTitle) -> Head:
-    """The head of an axis; a unit in words is left out."""
+    """Return the head of an axis; a unit in words is left out."""
     return Head(frames.name_of(name, title), "" if " " in title.unit or title.unit == "1" else title.unit)
 
 
@@ -169,7 +170,7 @@ def _value(value: object) -> str:
 
 
 def _entries(result: Result, cell: pd.DataFrame, metric: str) -> list[Entry]:
-    """The entries of one cell and signal, in the study's order."""
+    """Return the entries of one cell and signal, in the study's order."""
     first, pairs = cell.iloc[0], result.pairs
     comparisons = pairs[
         (pairs.scenario == first.scenario)

@@ -1,4 +1,4 @@
-"""Tables as Markdown, and as CSV: there a row an estimate, its numbers in full."""
+"""Tables as Markdown, and as CSV with one row per estimate and all digits."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ def _head(h: Head) -> str:
 
 
 def _text(words: str) -> str:
-    """Words in which Markdown finds no column, tag, link or code."""
+    """Return words in which Markdown has no column, tag, link or code."""
     return re.sub(r"[\\|<>`\[\]]", r"\\\g<0>", words)
 
 
@@ -46,12 +46,12 @@ def _entry(entry: Entry | None) -> str:
 
 def values(tables: list[Table]) -> str:
     """Return tables as CSV."""
-    every = [e for t in tables for e in t.entries]
-    axes = list(dict.fromkeys(a for e in every for a in axes_of(e.row)))
+    entries = [e for t in tables for e in t.entries]
+    axes = list(dict.fromkeys(a for e in entries for a in axes_of(e.row)))
     names = ["scenario", "signal", "metric", "unit", *axes, "observer", *NUMBERS]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*names, "best"])
-    for e in every:
+    for e in entries:
         writer.writerow([*("" if e.row.get(n) != e.row.get(n) else e.row.get(n) for n in names), e.best])
     return out.getvalue()

@@ -243,7 +243,7 @@ def c_table(screen):
     about.observer, about.scenario = "kf", "lti"
     signals = zip(about.signals, VALUES[:2], strict=True)
     lines = {name: SimpleNamespace(most=1.25e-16, differs=1.5e-7, error=value) for (name, _), value in signals}
-    recordings.table(SimpleNamespace(about=about), lines, lines, "the recording", screen)
+    recordings.export_table(SimpleNamespace(about=about), lines, lines, "the recording", screen)
     return [*VALUES[:2]]
 
 

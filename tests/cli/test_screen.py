@@ -370,7 +370,7 @@ def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
         found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
         console = shared.console()
         console.file = io.StringIO()
-        recordings.table(SimpleNamespace(about=about), found, found, "the recording", console)
+        recordings.export_table(SimpleNamespace(about=about), found, found, "the recording", console)
         assert ("rms error" in console.file.getvalue()) == shown
         assert "nan" not in console.file.getvalue()
 

@@ -176,7 +176,7 @@ def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_pat
         assert "signed" in text
         assert not re.search(r"\bnan\b", text)
     assert "Bands: 90 % of the errors over all noise, or 32 runs" in html, "of kf, and of signed"
-    assert results.sentence(done, "there") == "Exact numbers of one grid point are in there."
+    assert results.closing_sentence(done, "there") == "Exact numbers of one grid point are in there."
 
 
 @pytest.mark.ci
@@ -185,7 +185,7 @@ def test_exact_numbers_in_a_folder_of_runs_are_kept_with_them_and_the_command_sa
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, evaluation="exact", out=tmp_path / "out")
     assert set(result.stats.method) == {"runs"}
     assert moments_tables.load_exact_rows(storage.target(tmp_path / "out")) is not None
-    said = results.sentence(result, "out")
+    said = results.closing_sentence(result, "out")
     assert said.startswith("The tables in out contain its runs")
     assert "pcbench verify out --exact" in said
 

@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 import pytest
 
-from pcbench.cli.render.tables import readable
+from pcbench.cli.render.tables import to_json
 from pcbench.errors import UserError
 from pcbench.runtime import memory
 
@@ -55,7 +55,7 @@ def test_numbers_that_json_does_not_know_are_null_or_words():
         "e": (np.float64(0.5), True),
         3: None,
     }
-    assert json.loads(readable(said)) == {
+    assert json.loads(to_json(said)) == {
         "a": None, "b": [1.0, None], "c": "-inf", "d": {"real": 1.0, "imag": 2.0}, "e": [0.5, True], "3": None,
     }  # fmt: skip
 

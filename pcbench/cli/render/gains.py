@@ -29,8 +29,8 @@ def gains(design: Design, screen: Screen) -> None:
         screen.print(f"{UNPROVEN.removeprefix('* ')} these gains.", style="bold", highlight=True)
     if c.fallback:
         screen.print(f"fallback: {c.fallback}", highlight=True)
-    promise = f"{c.rate:.6g} 1/s or faster" if np.isfinite(c.rate) else "not guaranteed"
-    screen.print(f"decay rate of the errors: {promise}", highlight=True)
+    rate = f"{c.rate:.6g} 1/s or faster" if np.isfinite(c.rate) else "not guaranteed"
+    screen.print(f"decay rate of the errors: {rate}", highlight=True)
     for name, value in c.numbers.items():
         width = max(screen.width - len(name) - 3, 20)
         body = np.array2string(np.asarray(value), width, precision=12, separator=", ", suppress_small=False)
@@ -40,19 +40,14 @@ def gains(design: Design, screen: Screen) -> None:
 def trade_off(title: str, table: pd.DataFrame, screen: Screen) -> None:
     """Print a trade-off: the option, the guaranteed rate, and the other numbers that change."""
     option = table.columns[0]
-    constant_names = [option, "rate", "margin", "solver"]
-    variable_names = [
-        c for c in table.columns if c not in (*constant_names, "fallback", "refused") and table[c].nunique() > 1
-    ]
-    heads = [head + (" [1/s]" if head == "rate" else "") for head in (*constant_names, *variable_names)]
+    fixed = [option, "rate", "margin", "solver"]  # columns that are always printed
+    varying = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
+    heads = [head + (" [1/s]" if head == "rate" else "") for head in (*fixed, *varying)]
     designs = table[table.refused == ""]
-    values = [
-        [f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]]
-        for name in (*constant_names, *variable_names)
-    ]
+    values = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in designs[name]] for name in (*fixed, *varying)]
     columns = [Column(head, cells, is_text=head == option) for head, cells in zip(heads, values, strict=True)]
     screen.fit(mark_uncertified(title, table.certified), columns)
-    if len(designs) > 1 and not variable_names and designs.rate.nunique() <= 1:
+    if len(designs) > 1 and not varying and designs.rate.nunique() <= 1:
         screen.print(f"{option} has no effect here: these gains do not depend on it; use another --gain.")
     screen.say_unproven(table.certified)
     for row in table[table.refused != ""].to_dict("records"):

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from pcbench import fields
-from pcbench.cli.render.tables import Column, Screen
-from pcbench.cli.render.tables import plain as number
+from pcbench.cli.render.tables import Column, Screen, format_number
 from pcbench.recordings.survey import describe_held
 from pcbench.statistics import Z95
 from pcbench.statistics.number_format import estimate
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from pcbench.playback.replay import ReplayResult
 
 MILLI = 1e3
-NOTHING = 1e-9  # smaller numbers are rounding
+ROUNDING = 1e-9  # smaller numbers are rounding
 Row = Mapping[Hashable, Any]  # of a frame, by column
 Rows = Sequence[Row]
 
@@ -26,25 +25,25 @@ Rows = Sequence[Row]
 def channels(table: pd.DataFrame, screen: Screen) -> None:
     """Print the survey of a recording."""
     rows = table.to_dict("records")
-    ends = ["{} to {}".format(*(_plain(row[k], MILLI) for k in ("delay_p05", "delay_p95"))) for row in rows]
+    ends = ["{} to {}".format(*(_number(row[k], MILLI) for k in ("delay_p05", "delay_p95"))) for row in rows]
     columns = [
         Column("channel", [row["channel"] for row in rows], is_text=True),
         _count("samples", rows),
         _count("lost", rows),
-        Column("rate\n[1/s]", [_plain(row["rate"]) for row in rows]),
-        Column("delay [ms]\nmedian", [_plain(row["delay_median"], MILLI) for row in rows]),
+        Column("rate\n[1/s]", [_number(row["rate"]) for row in rows]),
+        Column("delay [ms]\nmedian", [_number(row["delay_median"], MILLI) for row in rows]),
         Column("\n5 to 95 %", ends),
-        Column("\nlargest", [_plain(row["delay_most"], MILLI) for row in rows]),
-        Column("drift\n[ppm]", [_plain(row["drift_ppm"]) for row in rows], spare=1),
+        Column("\nlargest", [_number(row["delay_most"], MILLI) for row in rows]),
+        Column("drift\n[ppm]", [_number(row["drift_ppm"]) for row in rows], spare=1),
     ]
     screen.fit(str(table.attrs["name"]), columns)
     for row in rows:
         drift, se = row["drift_ppm"], row["drift_ppm_se"]
-        if drift is not None and se is not None and abs(drift) > NOTHING:
+        if drift is not None and se is not None and abs(drift) > ROUNDING:
             interval = estimate(drift, drift - Z95 * se, drift + Z95 * se)
             explanation = "±: half a 95 % interval, for independent delays"
             screen.say(f"{row['channel']}: clock drift {interval} ppm ({explanation}).")
-        screen.say(*(f"{row['channel']}: {sentence}." for sentence in odd(row)))
+        screen.say(*(f"{row['channel']}: {sentence}." for sentence in describe_irregularities(row)))
     screen.say(*describe_held(table.attrs["survey"]))
     for lag in table.attrs["lags"]:
         screen.say(
@@ -67,9 +66,9 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
         columns = [
             Column("field", [row["field"] for row in fields], is_text=True),
             Column("values", [f"{row['rows'] - row['missing']:,}" for row in fields]),
-            Column("rate\n[1/s]", [_plain(row["rate"]) for row in fields]),
-            Column("least", [number(row["least"], ".6g") for row in fields]),
-            Column("most", [number(row["most"], ".6g") for row in fields]),
+            Column("rate\n[1/s]", [_number(row["rate"]) for row in fields]),
+            Column("least", [format_number(row["least"], ".6g") for row in fields]),
+            Column("most", [format_number(row["most"], ".6g") for row in fields]),
             Column("note", notes, is_text=True),
         ]
         title = f"{where} {first['rows']:,} rows{span}"
@@ -77,7 +76,7 @@ def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Seque
     screen.say(*problems, f"A TOML file to start from: pcbench info {name} --toml --out start.toml")
 
 
-def odd(row: Row) -> list[str]:
+def describe_irregularities(row: Row) -> list[str]:
     """Return sentences about gaps, order, repetitions and jumps of a channel."""
 
     def count(key: str, word: str) -> str:
@@ -103,20 +102,20 @@ def odd(row: Row) -> list[str]:
 
 def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
     """Print the innovation tests and errors of observers on a recording."""
-    about = result.summary
+    summary = result.summary
     if len(result.innovations):
         rows = result.innovations.to_dict("records")
-        axes = [Column(_with_unit(name), [f"{row[name]}" for row in rows]) for name in about.get("axes", [])]
+        axes = [Column(_with_unit(name), [f"{row[name]}" for row in rows]) for name in summary.get("axes", [])]
         tests = _innovation_columns(rows)
         columns = [
             *axes,
             Column("observer", [row["observer"] for row in rows], is_text=True),
             _count("samples", rows),
             *(tests[:1] if axes else tests),
-            Column("log-likelihood\nper value", [_plain(row["log_likelihood"]) for row in rows]),
-            Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
+            Column("log-likelihood\nper value", [_number(row["log_likelihood"]) for row in rows]),
+            Column("\nheld out", [_number(row["log_likelihood_held_out"]) for row in rows]),
         ]
-        screen.fit(f"{about['log']}: measurements compared with their predictions", columns)
+        screen.fit(f"{summary['log']}: measurements compared with their predictions", columns)
         if axes:
             screen.say(f"Also per channel: {folder}/replay.json")
             return
@@ -135,12 +134,12 @@ def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
             screen,
         )
     if len(result.distances):
-        title = f"rms distance to the smoother from {about['steady_start']:g} s on (steady_start)"
+        title = f"rms distance to the smoother from {summary['steady_start']:g} s on (steady_start)"
         _by_signal(result.distances, "rms", title, screen)
         screen.say("Compare distances only between observers with the same assumptions, such as delays and noise.")
-    rounding, ticks = about["largest_rounding"], about["ticks"] + 1
+    rounding, ticks = summary["largest_rounding"], summary["ticks"] + 1
     screen.say(
-        f"{ticks:,} ticks of {about['dt']:g} s; times are rounded by up to {rounding:.3g} s.",
+        f"{ticks:,} ticks of {summary['dt']:g} s; times are rounded by up to {rounding:.3g} s.",
         f"Estimates tick by tick: {folder}/estimates.parquet. Draw them: pcbench report {folder}",
     )
 
@@ -155,10 +154,10 @@ def _innovation_columns(rows: Rows) -> list[Column]:
     """Return the columns of the innovation tests."""
     bands = [f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" if row["samples"] else "-" for row in rows]
     return [
-        Column("NIS", [_plain(row["nis"]) for row in rows]),
+        Column("NIS", [_number(row["nis"]) for row in rows]),
         Column("95 % band", bands),
         Column("verdict", [row["verdict"] for row in rows], is_text=True),
-        Column("ljung_box_p", [_plain(row["ljung_box_p"]) for row in rows]),
+        Column("ljung_box_p", [_number(row["ljung_box_p"]) for row in rows]),
     ]
 
 
@@ -167,7 +166,7 @@ def _by_signal(table: pd.DataFrame, value: str, title: str, screen: Screen) -> N
     pivot = table.pivot(index="observer", columns="signal", values=value)
     columns = [Column("observer", list(pivot.index), is_text=True)]
     for signal, unit in dict(zip(table.signal, table.unit, strict=True)).items():
-        columns.append(Column(f"{signal}\n[{unit}]", [_plain(float(v)) for v in pivot[signal].to_numpy(float)]))
+        columns.append(Column(f"{signal}\n[{unit}]", [_number(float(v)) for v in pivot[signal].to_numpy(float)]))
     screen.fit(title, columns)
 
 
@@ -175,16 +174,18 @@ def _count(name: str, rows: Rows) -> Column:
     return Column(name.replace("_", " "), [f"{row[name]:,}" for row in rows])
 
 
-def _plain(value: float | None, scale: float = 1.0) -> str:
-    return "0" if value is not None and abs(value) <= NOTHING else number(None if value is None else value * scale)
+def _number(value: float | None, scale: float = 1.0) -> str:
+    if value is not None and abs(value) <= ROUNDING:
+        return "0"
+    return format_number(None if value is None else value * scale)
 
 
-def table(result: Any, double: dict[str, Any], single: dict[str, Any], source: str, screen: Screen) -> None:
+def export_table(result: Any, double: dict[str, Any], single: dict[str, Any], source: str, screen: Screen) -> None:
     """Print the differences between C and a simulation, or the replay of a recording (`source`), in both precisions."""
-    about = result.about
-    names = [name for name, _ in about.signals if name in double]
+    facts = result.about
+    names = [name for name, _ in facts.signals if name in double]
     columns = [
-        Column("signal", [f"{name} [{unit}]" for name, unit in about.signals if name in double], is_text=True),
+        Column("signal", [f"{name} [{unit}]" for name, unit in facts.signals if name in double], is_text=True),
         Column("double:\nlargest diff.", [f"{double[name].most:.2g}" for name in names]),
         Column("rms error", [f"{double[name].error:.6g}" for name in names]),
         Column("float:\nrms diff.", [f"{single[name].differs:.2g}" for name in names]),
@@ -193,9 +194,9 @@ def table(result: Any, double: dict[str, Any], single: dict[str, Any], source: s
     ]
     if all(math.isnan(e.error) for e in (*double.values(), *single.values())):  # a recording without truth
         columns = [column for column in columns if column.head != "rms error"]
-    newer = f"at most {about.newer}" if about.newer else "no"
+    newer = f"at most {facts.newer}" if facts.newer else "no"
     oldest = (
-        f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s), if {newer} newer measurement"
+        f"oldest admissible age: {facts.oldest} ticks ({facts.oldest * facts.dt:g} s), if {newer} newer measurement"
     )
-    oldest += f"{'s' * (about.newer > 1)} arrived before it"
-    screen.fit(f"{about.observer} of {about.scenario} in C, on {source}; {oldest}", columns)
+    oldest += f"{'s' * (facts.newer > 1)} arrived before it"
+    screen.fit(f"{facts.observer} of {facts.scenario} in C, on {source}; {oldest}", columns)

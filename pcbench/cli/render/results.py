@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pcbench.cli.render.tables import Column, Screen, left_out, plain
+from pcbench.cli.render.tables import Column, Screen, format_number, left_out
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.limits.search import settles_sentence
@@ -110,10 +110,10 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
     cells = [cell for _, cell in view.stats.groupby("cell", sort=True)]
     groups = [(view.title, cells, _columns(view, cells, axes))]
     if axes and not screen.fits(groups[0][2]):
-        at = [", ".join(f"{a} = {_axis_value(cell[a].iloc[0])}" for a in axes) for cell in cells]
+        places = [", ".join(f"{a} = {_axis_value(cell[a].iloc[0])}" for a in axes) for cell in cells]
         groups = [
             (f"{view.title}, {place}", [cell], _columns(view, [cell], []))
-            for place, cell in zip(at, cells, strict=True)
+            for place, cell in zip(places, cells, strict=True)
         ]
     missing: dict[str, None] = {}
     for title, group, columns in groups:
@@ -131,11 +131,11 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     """Return the columns for some grid points, best observers first: the metric, the difference to the best, and others."""
     metric, costs = view.metric, view.costs
     metrics = set(view.stats.metric[view.stats["mean"].notna()])
-    exact = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - metrics else []
-    extra = [m for m in (*exact, *EXTRA_METRICS, SQUARE) if m in metrics and m != metric]
-    cost = COST if costs is not None else ()
+    pooled = ["pooled_rmse"] if "rmse" in set(view.stats.metric) - metrics else []
+    extra = [m for m in (*pooled, *EXTRA_METRICS, SQUARE) if m in metrics and m != metric]
+    cost_names = COST if costs is not None else ()
     values: dict[str, list[str]] = {
-        name: [] for name in (*axes, "observer", metric, LESS, *extra, "divergence_rate", *cost)
+        name: [] for name in (*axes, "observer", metric, LESS, *extra, "divergence_rate", *cost_names)
     }
     bold: set[int] = set()
     for cell in cells:
@@ -154,7 +154,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
             row["divergence_rate"] = fraction(by_metric.loc[observer, "divergence_rate"])
             if costs is not None:
                 counts = costs[(costs.cell == number) & (costs.observer == observer)]
-                row |= {name: f"{counts[name].iloc[0]:,}" if len(counts) else "" for name in cost}
+                row |= {name: f"{counts[name].iloc[0]:,}" if len(counts) else "" for name in cost_names}
             for name, text in row.items():
                 values[name].append(text)
 
@@ -169,7 +169,7 @@ def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Col
     columns.append(Column(head(metric), values[metric]))
     columns += [Column(LESS, values[LESS])] if len(set(values["observer"])) > 1 else []
     columns += [Column("diverged", values["divergence_rate"])] if view.stats.diverged.any() else []
-    columns += [Column(name, values[name]) for name in cost]
+    columns += [Column(name, values[name]) for name in cost_names]
     return columns + [
         Column(head(name), values[name], spare=1 + len(extra) - extra.index(name)) for name in extra[::-1]
     ]
@@ -186,7 +186,7 @@ def _format_metric(by_metric: pd.DataFrame, observer: str, metric: str, horizon:
 
 def format_settling_time(row: Any, horizon: float) -> str:
     """Return the median settling time; 'never' if most runs were outside their band at the end."""
-    return "never" if row["p50"] >= horizon else plain(row["p50"], ".3g")
+    return "never" if row["p50"] >= horizon else format_number(row["p50"], ".3g")
 
 
 def _axis_value(value: object) -> str:
@@ -203,11 +203,12 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
     shared_wins = Counter(observer for group in leaders for observer in group)
     rows = [(str(observer), g, g["mean"].median()) for observer, g in part.groupby("observer", sort=False)]
     rows.sort(key=lambda row: (-wins[row[0]], np.nan_to_num(row[2], nan=np.inf)))
+    unit = unit_of(metric, part.unit.iloc[0])
     columns = [
         Column("observer", [mark_uncertified(o, g.certified) for o, g, _ in rows], is_text=True),
         Column("grid points\nwon", [str(wins[o]) for o, _, _ in rows]),
         Column("as good as\nthe best", [str(shared_wins[o]) for o, _, _ in rows]),
-        Column(f"median {metric} [{unit_of(metric, part.unit.iloc[0])}]", [plain(median) for _, _, median in rows]),
+        Column(f"median {metric} [{unit}]", [format_number(median) for _, _, median in rows]),
     ]
     has_diverged = part.diverged.any()
     if has_diverged:
@@ -226,10 +227,8 @@ def _count_wins(view: View, screen: Screen) -> list[str]:
 def print_consistency(name: str, stats: pd.DataFrame, screen: Screen) -> list[str]:
     """Print NEES and NIS of observers with a covariance, with verdicts; return the notes below the table."""
     part = stats[stats.metric.isin([*SQUARES, *(BANDS[m] for m in SQUARES)])]
-    by_observer = ["observer", "metric"]
-    cells = [
-        (str(c), r.drop_duplicates(by_observer).set_index(by_observer)) for c, r in part.groupby("cell", sort=False)
-    ]
+    keys = ["observer", "metric"]
+    cells = [(str(c), r.drop_duplicates(keys).set_index(keys)) for c, r in part.groupby("cell", sort=False)]
     rows = [
         (cell, o, by_metric)
         for cell, by_metric in cells
@@ -273,8 +272,8 @@ def _band(by_metric: Any, observer: str, metric: str) -> Band:
     return Band(row["ci_low"], row["ci_high"])
 
 
-def sentence(result: Result, folder: str) -> str:
-    """Return the duration of a run, in a sentence."""
+def closing_sentence(result: Result, folder: str) -> str:
+    """Return what a run added and how long it took, in a sentence."""
     p = result.provenance
     if not result.cost.runs and result.exact and not p["blocks"]:
         cells = result.stats.groupby(["scenario", "cell"]).ngroups

@@ -162,7 +162,7 @@ def align_intervals(cells: Sequence[str], at: str = " ± ") -> list[str]:
     ]
 
 
-def plain(value: float | None, form: str = ".4g") -> str:
+def format_number(value: float | None, form: str = ".4g") -> str:
     """Return a number as text; '-' if there is none."""
     return "-" if value is None or value != value else f"{value:{form}}"
 
@@ -172,20 +172,20 @@ def mean(value: float, se: float, sign: str = "") -> str:
     return estimate(value, value - 2 * se, value + 2 * se, sign)
 
 
-def readable(content: object) -> str:
+def to_json(content: object) -> str:
     """Return arrays, complex numbers and tuples as readable JSON."""
 
-    def to_json(value: object) -> object:
+    def jsonable(value: object) -> object:
         if hasattr(value, "tolist"):
-            return to_json(value.tolist())
+            return jsonable(value.tolist())
         if isinstance(value, complex):
             return {"real": value.real, "imag": value.imag}
         if isinstance(value, Mapping):
-            return {str(k): to_json(v) for k, v in value.items()}
+            return {str(k): jsonable(v) for k, v in value.items()}
         if isinstance(value, tuple | list):
-            return [to_json(v) for v in value]
+            return [jsonable(v) for v in value]
         if isinstance(value, float) and value != value:
             return None
         return str(value) if value in (float("inf"), float("-inf")) else value
 
-    return json.dumps(to_json(content), indent=2)
+    return json.dumps(jsonable(content), indent=2)
