@@ -19,10 +19,10 @@ from pcbench.planning.operation_counts import PER_ENTRY
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
 INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}
 INFIX |= {"shift_right_arithmetic": ">>"}
-CALLED = "sqrt cbrt exp exp2 expm1 log log1p floor ceil erf erfc"
-CALLED += " sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
+FUNCTIONS = "sqrt cbrt exp exp2 expm1 log log1p floor ceil erf erfc"
+FUNCTIONS += " sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
 TEXTS = {name: f"{{0}} {sign} {{1}}" for name, sign in INFIX.items()}  # of operations, by their arguments
-TEXTS |= {name: f"F({name})({{0}})" for name in CALLED.split()}
+TEXTS |= {name: f"F({name})({{0}})" for name in FUNCTIONS.split()}
 TEXTS |= {name: f"F({name})({{0}}, {{1}})" for name in ("atan2", "nextafter")}
 TEXTS |= {
     "max": "LARGER({0}, {1})",
@@ -39,12 +39,12 @@ TEXTS |= {
 SAME = {"copy", "copy_p", "stop_gradient"}
 FOLDS = dict(zip(jaxpr_compat.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
 UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
-MANY = 16  # choices that are written as a loop: a compiler takes minutes for thousands of branches one by one
-MOST = 8  # a whole power up to here is written as a product
+MAX_BRANCHES = 16  # more choices are written as a loop: a compiler takes minutes for thousands of single branches
+MAX_POWER = 8  # larger whole powers are not written as a product
 
 
 def _power(y: int, a: list[str]) -> str:
-    if abs(y) > MOST:
+    if abs(y) > MAX_POWER:
         return f"F(pow)({a[0]}, R({y}.0))"
     text = " * ".join([a[0]] * abs(y)) or "R(1.0)"
     return f"R(1.0) / ({text})" if y < 0 else text
@@ -58,18 +58,17 @@ def _convert_number(kind: str, a: list[str], source: str) -> str:
         return f"({kind}){a[0]}"
     name, is_signed = kind[:-2].upper(), kind[0] == "i"
     bits = int("".join(filter(str.isdigit, kind))) - is_signed
-    least, low, most = (
-        (f"{name}_MIN", f"(-R({2.0**bits!r}))", f"{name}_MAX") if is_signed else ("0", "R(0.0)", f"{name}_MAX")
-    )
-    return f"{a[0]} != {a[0]} ? 0 : {a[0]} <= {low} ? {least} : {a[0]} >= R({2.0**bits!r}) ? {most} : ({kind}){a[0]}"
+    least, low = (f"{name}_MIN", f"(-R({2.0**bits!r}))") if is_signed else ("0", "R(0.0)")
+    clipped = f"{a[0]} <= {low} ? {least} : {a[0]} >= R({2.0**bits!r}) ? {name}_MAX : ({kind}){a[0]}"
+    return f"{a[0]} != {a[0]} ? 0 : {clipped}"
 
 
 def _select(a: list[str]) -> str:
-    """The case that a selector names; 0 or false is the first."""
-    which, cases = a[0], a[1:]
+    """Return the case that a selector names; 0 or false is the first."""
+    selector, cases = a[0], a[1:]
     if len(cases) == 2:
-        return f"{which} ? {cases[1]} : {cases[0]}"
-    return "".join(f"{which} == {i} ? {case} : " for i, case in enumerate(cases[:-1])) + cases[-1]
+        return f"{selector} ? {cases[1]} : {cases[0]}"
+    return "".join(f"{selector} == {i} ? {case} : " for i, case in enumerate(cases[:-1])) + cases[-1]
 
 
 def _divide(kind: str, a: list[str], sign: str) -> str:
@@ -105,7 +104,7 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
     products = int(name in PER_ENTRY and kind == "real")
     each = [np.broadcast_to(a, aval.shape) for a in args]
-    if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MANY:
+    if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MAX_BRANCHES:
         return _select_in_loop(w, kind, *each)
     for i in np.ndindex(aval.shape):
         operands = [a[i] for a in each]
@@ -124,26 +123,26 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     return out
 
 
-def _select_in_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: Entries) -> Entries:
+def _select_in_loop(w: Writer, kind: str, selector: Entries, no: Entries, yes: Entries) -> Entries:
     """Write a selection between two arrays, entry by entry; a known selector is evaluated here."""
-    is_term = np.array([isinstance(x, Term) for x in which.flat]).reshape(which.shape)
-    out = np.empty(which.shape, object)
+    is_term = np.array([isinstance(x, Term) for x in selector.flat]).reshape(selector.shape)
+    out = np.empty(selector.shape, object)
     for i in zip(*np.nonzero(~is_term), strict=True):
-        out[i] = (yes if which[i] else no)[i]
-    open_ = which[is_term]
-    same = all(x.text == open_[0].text for x in open_)
-    condition = open_[0].text if same else _index_entry(w, "bool", open_)
-    either = [_index_entry(w, kind, each[is_term]) for each in (yes, no)]
-    target = w.room(kind, open_.shape)
-    with w.block(f"for (int i = 0; i < {open_.size}; i++)"):
-        w.say(f"{target[0].store}[i] = {condition} ? {either[0]} : {either[1]};")
+        out[i] = (yes if selector[i] else no)[i]
+    terms = selector[is_term]
+    is_common = all(x.text == terms[0].text for x in terms)
+    condition = terms[0].text if is_common else _index_entry(w, "bool", terms)
+    texts = [_index_entry(w, kind, branch[is_term]) for branch in (yes, no)]
+    target = w.room(kind, terms.shape)
+    with w.block(f"for (int i = 0; i < {terms.size}; i++)"):
+        w.say(f"{target[0].store}[i] = {condition} ? {texts[0]} : {texts[1]};")
     for i, x in zip(zip(*np.nonzero(is_term), strict=True), target, strict=True):
         out[i] = x
     return out
 
 
 def _index_entry(w: Writer, kind: str, values: Entries) -> str:
-    """Entry i of an array, in its C array or in one that is written for it."""
+    """Return entry i of an array, in its C array or in one that is written for it."""
     place = place_of(values) or place_of(w.array(kind, values))
     if place is None:
         raise AssertionError("an array that is written is part of an array of C")
@@ -153,23 +152,22 @@ def _index_entry(w: Writer, kind: str, values: Entries) -> str:
 def fold(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write the reduction of some axes, from the first entry to the last."""
     a, axes, kind = args[0], jaxpr_compat.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
-    rest = [i for i in range(a.ndim) if i not in axes]
-    flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
+    free_axes = [i for i in range(a.ndim) if i not in axes]
+    flat = a.transpose(*free_axes, *axes).reshape(*(a.shape[i] for i in free_axes), -1)
     out = np.empty(flat.shape[:-1], object)
     operator, fill = FOLDS[eqn.primitive.name], number_entries(0)
     if not a.size:  # what a fold of no entry is
         v = eqn.invars[0].aval
-        fill = number_entries(
-            np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0]
-        )
+        folded = eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)
+        fill = number_entries(np.asarray(folded).ravel()[0])
     for i in np.ndindex(out.shape):
-        each = [as_c(x) for x in flat[i]]
-        if not each:
+        texts = [as_c(x) for x in flat[i]]
+        if not texts:
             out[i] = fill[()]
         elif operator in ("LARGER", "SMALLER"):
-            out[i] = reduce(lambda x, y: w.let(kind, f"{operator}({as_c(x)}, {y})"), each[1:], flat[i][0])
+            out[i] = reduce(lambda x, y: w.let(kind, f"{operator}({as_c(x)}, {y})"), texts[1:], flat[i][0])
         else:
-            out[i] = w.let(kind, f" {operator} ".join(each)) if len(each) > 1 else flat[i][0]
+            out[i] = w.let(kind, f" {operator} ".join(texts)) if len(texts) > 1 else flat[i][0]
     return out
 
 
@@ -192,14 +190,14 @@ def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     out = np.empty(a.shape[:-1], object)
     for i in np.ndindex(out.shape):
         best: Entry = a[i][0]
-        where: Entry = np.int64(0)
+        index: Entry = np.int64(0)
         for k, x in enumerate(a[i][1:], 1):
             better = w.let("bool", f"{as_c(x)} {sign} {as_c(best)}").text
-            best, where = (
+            best, index = (
                 w.let(kind_of(eqn.invars[0].aval.dtype), f"{better} ? {as_c(x)} : {as_c(best)}"),
-                w.let(kind, f"{better} ? {k} : {as_c(where)}"),
+                w.let(kind, f"{better} ? {k} : {as_c(index)}"),
             )
-        out[i] = where
+        out[i] = index
     return out
 
 

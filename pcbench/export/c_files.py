@@ -112,23 +112,12 @@ def identifier(label: str) -> str:
 def header(about: About, s: Source) -> str:
     """Return the text of the header."""
     label = about.label
-    now = [
-        each._replace(note=note)
-        for each, note in zip(
-            s.now,
-            (
-                "s",
-                "from 0",
-                "s, of one tick",
-                "held over the tick that has begun; in snapshot, sampled and jump that of the tick before",
-                f"inputs of the last {about.rows} ticks, tick n in row n mod {about.rows}",
-            ),
-            strict=True,
-        )
-    ]
-    texts = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
-            "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
-    arrival = [each._replace(note=note) for each, note in zip(s.arrival, texts, strict=True)]
+    u_note = "held over the tick that has begun; in snapshot, sampled and jump that of the tick before"
+    past_note = f"inputs of the last {about.rows} ticks, tick n in row n mod {about.rows}"
+    now = _with_notes(s.now, ("s", "from 0", "s, of one tick", u_note, past_note))
+    notes = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0")
+    since = "ticks since the last tick at which anything arrived, from 0 before the first"
+    arrival = _with_notes(s.arrival, (*notes, "of its own tick", since))
     signals = ", ".join(comment(f"{name} [{unit}]") for name, unit in about.signals)
     order = ORDER.format(
         label=label,
@@ -139,11 +128,8 @@ def header(about: About, s: Source) -> str:
         newer=about.newer,
         seconds=about.oldest * about.dt,
     )
-    order = (
-        order
-        if _has(s, "snapshot")
-        else order.replace(f"{label}_snapshot (keep what it writes with the sample)", "no snapshot to keep")
-    )
+    if not _has(s, "snapshot"):
+        order = order.replace(f"{label}_snapshot (keep what it writes with the sample)", "no snapshot to keep")
     past = PAST.format(rows=about.rows, inputs=about.inputs) if s.looks_back else ""
     lines = [
         f"/* {comment(about.observer)}, as {comment(about.scenario)} has it: made by pcbench.",
@@ -185,6 +171,10 @@ def header(about: About, s: Source) -> str:
     return _replace_real("\n".join(lines) + "\n", label)
 
 
+def _with_notes(fields: list[structs.Field], notes: tuple[str, ...]) -> list[structs.Field]:
+    return [field._replace(note=note) for field, note in zip(fields, notes, strict=True)]
+
+
 def _macro(about: About) -> str:
     return OLDEST.format(macro=about.label.upper())
 
@@ -194,7 +184,7 @@ def _has(s: Source, name: str) -> bool:
 
 
 def _replace_real(text: str, label: str) -> str:
-    """A text with the observer's own floating-point type."""
+    """Return a text with the observer's own floating-point type."""
     return re.sub(r"\breal\b", f"{label}_real", text)
 
 
@@ -211,12 +201,12 @@ def code(about: About, s: Source) -> str:
 
 def gains(about: About, s: Source, numbers: PyTree) -> str:
     """Return the gains as a constant initialiser."""
-    each = structs.initialiser(s.gains, observer_to_c.numbers(numbers))
+    lines_of_gains = structs.initialiser(s.gains, observer_to_c.numbers(numbers))
     head = f"/* The gains of {comment(about.observer)} in {comment(about.scenario)}. */\n#include <math.h>\n"
     lines = [head + f'#include "{about.label}.h"\n', f"static const {about.label}_gains {about.label}_nominal = {{"]
-    return plain("\n".join([*lines, *each, "};", ""]))
+    return without_casts("\n".join([*lines, *lines_of_gains, "};", ""]))
 
 
-def plain(text: str) -> str:
+def without_casts(text: str) -> str:
     """Return initialisers whose numbers are written as double; C rounds such a constant to the type of its variable."""
     return re.sub(r"R\(([^()]*)\)", r"\1", text).replace("(real)", "")

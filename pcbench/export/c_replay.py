@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.export import c_files
-from pcbench.export.c_files import About, plain
+from pcbench.export.c_files import About, without_casts
 from pcbench.export.observer_to_c import Source
-from pcbench.export.structs import Vector
+from pcbench.export.structs import RecordedRun
 from pcbench.export.terms import as_c, number_entries
 
 MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
@@ -129,7 +129,7 @@ def main(about: About, s: Source, snapshot_size: int) -> str:
     )
 
 
-def header(about: About, v: Vector, snapshot_size: int, ring: int) -> str:
+def header(about: About, v: RecordedRun, snapshot_size: int, ring: int) -> str:
     """Return the test vector as constants; at most `ring` packets are in transit at a time."""
     q, m, s = about.outputs, about.inputs, v.expected.shape[1]
     sizes = {
@@ -170,7 +170,7 @@ def header(about: About, v: Vector, snapshot_size: int, ring: int) -> str:
         "};",
         "",
     ]
-    return plain("\n".join(lines))
+    return without_casts("\n".join(lines))
 
 
 def _quote_name(name: str) -> str:

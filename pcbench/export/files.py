@@ -17,7 +17,7 @@ from pcbench.dataset import storage
 from pcbench.errors import UserError
 from pcbench.export import c_files, c_replay, numbers, observer_to_c, recording, structs
 from pcbench.export.c_files import About
-from pcbench.export.structs import Vector
+from pcbench.export.structs import RecordedRun
 from pcbench.planning import alone, context_of, draft, loop_setup, padding, with_computing_time
 from pcbench.plants import estimated_of
 from pcbench.playback.replay import replay
@@ -31,13 +31,11 @@ from pcbench.synthesis.certificate import DesignContext
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
-PATIENCE = 300  # seconds for a compiler, or a replay
-
-
+TIMEOUT = 300  # seconds for a compiler, or a replay
 DIFFERENCE = re.compile(r"^(.*): differs by (\S+) rms, (\S+) at most; error (\S+) rms$", re.M)
 
 
-class Line(NamedTuple):
+class SignalDifference(NamedTuple):
     """The result of a replay for one signal, in the signal's unit."""
 
     differs: float  # rms, from the simulation
@@ -50,7 +48,7 @@ class ExportedObserver(NamedTuple):
 
     about: About
     files: dict[str, str | bytes]  # by name
-    scale: np.ndarray  # [s] the largest that each signal is in the run
+    scale: np.ndarray  # [s] largest size of each signal in the run
 
 
 def export_observer(
@@ -92,7 +90,7 @@ def export_observer(
             (p,) = (alone(plan, spec.root_seed, seed) for plan in padding.fit([draft(cell, cell.options)]))
             ((name, _),), context = p.layout.observers, context_of(p.cell)
             rows = _rows(cell, p.labels[0], context)
-            run = structs.vector(p, spec.root_seed, seed, rows)
+            run = structs.recorded_run(p, spec.root_seed, seed, rows)
             return _build_export(title, p.cell, p.labels[0], name, p, context, rows, run)
         return _export_recording(title, log, study, observer, delay, start, overrides or [])
 
@@ -126,9 +124,9 @@ def _build_export(
     p: padding.Plan | PlaybackSetup,
     context: DesignContext,
     rows: int,
-    run: Vector,
+    run: RecordedRun,
 ) -> ExportedObserver:
-    """The files of an observer, called `name` in the problem, with `rows` of past inputs and the test run.
+    """Return the files of an observer, called `name` in the problem, with `rows` of past inputs and the test run.
 
     `title` is the name of the scenario in the files.
     """
@@ -142,8 +140,8 @@ def _build_export(
     s = observer_to_c.source(
         c_files.identifier(label), o, gains, xhat0, observer_to_c.Shapes(m, q, snapshot_size, rows)
     )
-    oldest = context.ticks  # the age in ticks up to which a measurement that no newer one overtook is used
-    if s.jump_looks_back == "in a loop":  # to the measurement before it, and on, if they come as they are expected
+    oldest = context.ticks  # largest age in ticks of a measurement that is used
+    if s.jump_looks_back == "in a loop":  # reads inputs since the measurement before, of at most the expected age
         oldest = min(context.latest, rows)
     elif s.jump_looks_back == "once":
         oldest = min(rows, context.ticks)
@@ -173,7 +171,7 @@ def _build_export(
 
 
 def _rows(cell: Cell, label: str, context: DesignContext) -> int:
-    """How many past inputs an observer may use: those since the oldest sample that can still arrive."""
+    """Return the number of past inputs that an observer may use: those since the oldest sample that can still arrive."""
     ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
@@ -198,8 +196,8 @@ def write(export: ExportedObserver, out: str | Path) -> list[Path]:
     """Write the files into a new or existing folder, all or none; raise UserError if that fails."""
     target = storage.target(Path(out).expanduser())
     storage.create_folder(target)
-    each = {name: content if isinstance(content, bytes) else content.encode() for name, content in export.files.items()}
-    storage.write_files(target, each)
+    files = export.files.items()
+    storage.write_files(target, {name: file if isinstance(file, bytes) else file.encode() for name, file in files})
     return [Path(target.root) / name for name in export.files]
 
 
@@ -223,12 +221,12 @@ def run_compiled(
         flags = [*FLAGS, *(["-DOBSERVER_FLOAT"] if single else []), *(["-DOBSERVER_COUNT"] if count else [])]
         files = [f"{export.about.label}.c", "main.c"]
         compilation = subprocess.run(
-            [cc, *flags, "-o", "replay", *files, "-lm"], cwd=folder, capture_output=True, text=True, timeout=PATIENCE
+            [cc, *flags, "-o", "replay", *files, "-lm"], cwd=folder, capture_output=True, text=True, timeout=TIMEOUT
         )
         if compilation.returncode:
             line = (compilation.stderr.strip().splitlines() or ["no reason"])[0]
             raise UserError(f"{cc}: refused {files[0]} ({line}), expected it to compile as C99; look at that line.")
-        execution = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=PATIENCE)
+        execution = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=TIMEOUT)
         if execution.returncode:
             raise UserError(
                 f"{export.about.observer}: {execution.stderr.strip()}, expected room for the whole run; export it again."
@@ -236,6 +234,6 @@ def run_compiled(
         return execution.stdout
 
 
-def parse_replay(output: str) -> dict[str, Line]:
+def parse_replay(output: str) -> dict[str, SignalDifference]:
     """Return the output of a replay by signal."""
-    return {name: Line(float(a), float(b), float(c)) for name, a, b, c in DIFFERENCE.findall(output)}
+    return {name: SignalDifference(float(a), float(b), float(c)) for name, a, b, c in DIFFERENCE.findall(output)}

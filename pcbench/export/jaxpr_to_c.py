@@ -41,18 +41,18 @@ def write(w: Writer, program: ClosedJaxpr, args: list[Entries]) -> list[Entries]
     return _walk(w, program.jaxpr, [number_entries(c) for c in program.consts], args)
 
 
-def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
+def assign(w: Writer, targets: list[tuple[str, Entries, Entries]]) -> None:
     """Write assignments of new values (kind, place, value), as if all happened at once.
 
     No old value is read after it is overwritten.
     """
     assignments = []
-    for kind, old, new in into:
+    for kind, old, new in targets:
         for a, b in zip(old.flat, new.flat, strict=True):
             if a is b or (isinstance(b, Term) and a.text == b.text):
                 continue
-            moves = isinstance(b, Term) and b.text[0] != "t"  # what may be written over
-            assignments.append((a.text, w.let(kind, b.text).text if moves else as_c(b)))
+            may_change = isinstance(b, Term) and b.text[0] != "t"  # what may be written over
+            assignments.append((a.text, w.let(kind, b.text).text if may_change else as_c(b)))
     for place, text in assignments:
         w.say(f"{place} = {text};")
 
@@ -101,10 +101,10 @@ def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
 
 
 def _move_entries(eqn: Eqn, args: list[Entries]) -> list[Entries]:
-    """The entries after a primitive that only moves numbers."""
+    """Return the entries after a primitive that only moves numbers."""
     flat = np.concatenate([a.ravel() for a in args])
-    each = batching_rules.places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args))
-    return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
+    indices = batching_rules.places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args))
+    return [flat[i.ravel()].reshape(i.shape) if i.size else np.empty(i.shape, object) for i in indices]
 
 
 def _kinds(vs: Sequence[jaxpr_compat.Atom]) -> list[str]:
@@ -112,7 +112,7 @@ def _kinds(vs: Sequence[jaxpr_compat.Atom]) -> list[str]:
 
 
 def _state(w: Writer, vs: Sequence[jaxpr_compat.Atom], values: list[Entries], stays: list[bool]) -> list[Entries]:
-    """C arrays for a loop's state; entries that the loop does not change need none."""
+    """Return C arrays for a loop's state; entries that the loop does not change need none."""
     out = []
     for kind, value, is_constant in zip(_kinds(vs), values, stays, strict=True):
         if is_constant or not value.size:
@@ -128,28 +128,29 @@ def _state(w: Writer, vs: Sequence[jaxpr_compat.Atom], values: list[Entries], st
 def _while(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     cond, body, first, second = jaxpr_compat.while_(eqn.params)
     cond_consts, body_consts, values = args[:first], args[first : first + second], args[first + second :]
-    inside = body.jaxpr.invars[second:]
-    stays = [a is b for a, b in zip(inside, body.jaxpr.outvars, strict=True)]
-    state = _state(w, inside, values, stays)
+    state_vars = body.jaxpr.invars[second:]
+    is_constant = [a is b for a, b in zip(state_vars, body.jaxpr.outvars, strict=True)]
+    state = _state(w, state_vars, values, is_constant)
     with w.block("for (;;)"):
-        (goes_on,) = write(w, cond, [*cond_consts, *state])
-        w.say(f"if (!{as_c(goes_on[()])}) break;")
+        (condition,) = write(w, cond, [*cond_consts, *state])
+        w.say(f"if (!{as_c(condition[()])}) break;")
         checks = w.checks
         new = write(w, body, [*body_consts, *state])
         if w.checks > checks:
             w.say("if (outside) break;")
-        assign(w, [e for e, s in zip(zip(_kinds(inside), state, new, strict=True), stays, strict=True) if not s])
+        updates = zip(zip(_kinds(state_vars), state, new, strict=True), is_constant, strict=True)
+        assign(w, [update for update, constant in updates if not constant])
     return state
 
 
 def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
     body, consts, carry, length, params = jaxpr_compat.scan(eqn.params)
-    inside, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
+    state_vars, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
     if length == 1:
         out = write(w, body, [*args[: consts + carry], *(r.reshape(r.shape[1:]) for r in rows)])
         return [*out[:carry], *(r[None] for r in out[carry:])]
-    stays = [a is b for a, b in zip(inside, body.jaxpr.outvars[:carry], strict=True)]
-    state = _state(w, inside, args[consts : consts + carry], stays)
+    is_constant = [a is b for a, b in zip(state_vars, body.jaxpr.outvars[:carry], strict=True)]
+    state = _state(w, state_vars, args[consts : consts + carry], is_constant)
     ys = [w.room(kind_of(v.aval.dtype), (length, *v.aval.shape)) for v in body.jaxpr.outvars[carry:]]
     if not length:
         return [*state, *ys]
@@ -168,13 +169,13 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
             for kind, a, b in zip(kinds, ys, out[carry:], strict=True)
             if b.size
         ]
-        carry_updates = zip(zip(_kinds(inside), state, out[:carry], strict=True), stays, strict=True)
+        carry_updates = zip(zip(_kinds(state_vars), state, out[:carry], strict=True), is_constant, strict=True)
         assign(w, [*y_updates, *(each for each, s in carry_updates if not s)])
     return [*state, *ys]
 
 
 def _row(n: str, table: Term | None, rows: Entries) -> Entries:
-    """One row of the arrays over which a loop iterates."""
+    """Return one row of the arrays over which a loop iterates."""
     if table is None:
         return np.empty(rows.shape[1:], object)
     size = int(np.prod(rows.shape[1:]))
@@ -183,13 +184,13 @@ def _row(n: str, table: Term | None, rows: Entries) -> Entries:
 
 
 def _cond(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
-    programs, which = jaxpr_compat.branches(eqn.params), args[0]
-    if is_known(which):
-        return write(w, programs[int(np.clip(int(which[()]), 0, len(programs) - 1))], args[1:])
+    programs, index = jaxpr_compat.branches(eqn.params), args[0]
+    if is_known(index):
+        return write(w, programs[int(np.clip(int(index[()]), 0, len(programs) - 1))], args[1:])
     results = [w.room(kind_of(v.aval.dtype), v.aval.shape) for v in eqn.outvars]
-    for i, each in enumerate(programs):
+    for i, program in enumerate(programs):
         last = i == len(programs) - 1
-        condition = f"if ({as_c(which[()])} {'<=' if not i else '=='} {i})"
+        condition = f"if ({as_c(index[()])} {'<=' if not i else '=='} {i})"
         with w.block("else" if last else condition if not i else f"else {condition}"):
-            assign(w, [*zip(_kinds(eqn.outvars), results, write(w, each, args[1:]), strict=True)])
+            assign(w, [*zip(_kinds(eqn.outvars), results, write(w, program, args[1:]), strict=True)])
     return results

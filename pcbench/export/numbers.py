@@ -39,7 +39,7 @@ def describe_gains(
 
 def as_json(description: Mapping[str, object]) -> str:
     """Return a description as JSON; numbers that are not finite become strings, because JSON has none."""
-    return json.dumps(_plain(description), indent=2) + "\n"
+    return json.dumps(_json_value(description), indent=2) + "\n"
 
 
 def as_mat(description: Mapping[str, object]) -> bytes:
@@ -52,18 +52,18 @@ def as_mat(description: Mapping[str, object]) -> bytes:
     return out.getvalue()
 
 
-def _plain(x: object) -> object:
+def _json_value(x: object) -> object:
     if isinstance(x, dict):
-        return {str(k): _plain(v) for k, v in x.items()}
+        return {str(k): _json_value(v) for k, v in x.items()}
     if isinstance(x, list | tuple):
-        return [_plain(v) for v in x]
+        return [_json_value(v) for v in x]
     if isinstance(x, np.ndarray | np.generic):
-        return _plain(x.tolist())
+        return _json_value(x.tolist())
     return x if not isinstance(x, float) or np.isfinite(x) else str(x)
 
 
 def _to_matlab(x: object) -> object:
-    """Nested dicts in the form of MATLAB: names of at most 63 letters, no None."""
+    """Return nested dicts as MATLAB requires them: names of at most 63 letters, no None."""
     if isinstance(x, dict):
         return {str(k)[:63]: _to_matlab(v) for k, v in x.items() if v is not None}
     if isinstance(x, list | tuple):

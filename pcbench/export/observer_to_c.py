@@ -86,13 +86,10 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
     for name, (f, args, changes) in _observer_functions(o, shapes.snapshot_size).items():
         values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "mask": flags}
         program = jax.make_jaxpr(f)(*(values[each] for each in args))
-        entries = [
-            entry
-            for each in args
-            for entry in (
-                structs.entries(each, fields[each]) if each in fields else [array_entries(each, vectors[each][0].shape)]
-            )
-        ]
+        entries: list[Entries] = []
+        for arg in args:
+            is_struct = arg in fields
+            entries += structs.entries(arg, fields[arg]) if is_struct else [array_entries(arg, vectors[arg][0].shape)]
         into = structs.entries("m", fields["m"]) if changes == "m" else None
         try:
             lines = _lines(program, entries, into, changes, name == "jump")
@@ -119,12 +116,12 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
 
 
 def _past_reads(name: str, functions: list[Function]) -> PastReads:
-    """How a function reads past inputs: in a loop it may read inputs from before the arriving sample."""
+    """Return how a function reads past inputs: in a loop it may read inputs from before the arriving sample."""
     loops: list[int] = []
     reads = False
     for line in next(f.lines for f in functions if f.name == name):
         indent = len(line) - len(line.lstrip())
-        loops = [each for each in loops if each < indent]
+        loops = [loop for loop in loops if loop < indent]
         reads |= "now->past[" in line
         if loops and "now->past[" in line:
             return "in a loop"
@@ -133,7 +130,7 @@ def _past_reads(name: str, functions: list[Function]) -> PastReads:
 
 
 def _argument_shapes(shapes: Shapes) -> tuple[list[ShapeDtypeStruct], Arrival, ShapeDtypeStruct]:
-    """Types and shapes of the functions' arguments other than gains and memory."""
+    """Return types and shapes of the functions' arguments other than gains and memory."""
 
     def kind(dtype: type, *shape: int) -> Any:
         return jax.ShapeDtypeStruct(shape, dtype)
@@ -156,7 +153,7 @@ def _make_fields(names: Iterable[str], kinds: Iterable[ShapeDtypeStruct | Array]
 
 
 def _observer_functions(o: Observer, snapshot_size: int) -> FunctionTable:
-    """The functions of the observer in the order of a tick: their results, their arguments, and what they change."""
+    """Return the functions of the observer in the order of a tick, with their arguments and what they change."""
 
     def event_now(now: Iterable[Array]) -> Now:
         return present(*now, decided=False)
@@ -179,7 +176,7 @@ def _observer_functions(o: Observer, snapshot_size: int) -> FunctionTable:
 
 
 def _complete(a: Arrival) -> Arrival:
-    """An arrival in which channels without an arrival have value 0 and the age of the other channels."""
+    """Return an arrival in which channels without an arrival have value 0 and the age of the other channels."""
     oldest = jnp.max(jnp.where(a.mask, a.age, 0))
     return a._replace(value=jnp.where(a.mask, a.value, 0.0), age=jnp.where(a.mask, a.age, oldest))
 
@@ -187,7 +184,7 @@ def _complete(a: Arrival) -> Arrival:
 def _lines(
     program: ClosedJaxpr, entries: list[Entries], into: list[Entries] | None, changes: str, refuses: bool
 ) -> list[str]:
-    """The lines of a function that writes the outputs of a program `into` a struct, or into an array called `changes`.
+    """Return the lines of a function that writes the outputs of a program `into` a struct, or an array called `changes`.
 
     A function that `refuses` returns 1 and changes nothing if the program exceeds the room, and otherwise returns 0.
     """
@@ -208,7 +205,7 @@ def _lines(
 
 
 def _head(label: str, args: tuple[str, ...], changes: str) -> str:
-    """The declaration of a function's arguments in C."""
+    """Return the declaration of a function's arguments in C."""
     const = "" if changes == "m" else "const "
     texts = {
         "g": f"const {label}_gains *g",

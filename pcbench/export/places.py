@@ -20,7 +20,7 @@ FILL = (GatherScatterMode.FILL_OR_DROP,)
 def dynamic_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a slice with computed start indices."""
     operand, sizes = args[0], tuple(jaxpr_compat.param(eqn, "slice_sizes"))
-    starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
+    starts = [_clip_index(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
     window = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), -1) if sizes else np.zeros((0,), int)
     return _read(w, eqn, operand, starts, window)
 
@@ -28,21 +28,21 @@ def dynamic_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 def dynamic_update_slice(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a copy of an array, with a slice at computed start indices replaced."""
     operand, update = args[:2]
-    starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[2:], operand.shape, update.shape, strict=True)]
+    starts = [_clip_index(w, a[()], n - m) for a, n, m in zip(args[2:], operand.shape, update.shape, strict=True)]
     if not any(isinstance(s, Term) for s in starts):
         out = operand.copy()
         out[tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))] = update
         return out
     name, first = _copy_operand(w, eqn, operand), _offset(w, operand.shape, starts)
     for i in np.ndindex(update.shape):
-        w.say(f"{array_entries(name, (1,), first, _flat(operand.shape, i))[0].text} = {as_c(update[i])};")
+        w.say(f"{array_entries(name, (1,), first, _flat_index(operand.shape, i))[0].text} = {as_c(update[i])};")
     return array_entries(name, operand.shape)
 
 
 def _starts(
     axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batch_axes: Iterable[tuple[int, int]]
 ) -> list[Entry]:
-    """The start of a slice: a row of indices gives it for the axes `places`, and the row's own position for batch axes."""
+    """Return the start of a slice: from a row of indices on the axes `places`, and the row's position on batch axes."""
     starts: list[Entry] = [np.int64(0)] * axes
     for column, axis in enumerate(places):
         starts[axis] = indices[(*row, column)]
@@ -64,17 +64,17 @@ def gather(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         starts = _starts(operand.ndim, indices, b, d.start_index_map, batch_axes)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
         condition = _is_inside(w, starts, limits) if mode in FILL else ""
-        starts = [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
+        starts = [_clip_index(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
         shape = tuple(sizes[i] for i in window_axes)
         window = np.zeros((*shape, operand.ndim), int)
         for i in np.ndindex(shape):
             window[i][window_axes] = i
         values = _read(w, eqn, operand, starts, window)
-        at: list[slice | int] = [slice(None)] * len(aval.shape)
+        index: list[slice | int] = [slice(None)] * len(aval.shape)
         for axis, i in zip(batch, b, strict=True):
-            at[axis] = i
+            index[axis] = i
         values = _or_else(w, eqn, values, condition) if condition else values
-        out[tuple(at)] = values if values.ndim else values[()]
+        out[tuple(index)] = values if values.ndim else values[()]
     return out
 
 
@@ -93,16 +93,16 @@ def scatter(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         starts = _starts(operand.ndim, indices, b, d.scatter_dims_to_operand_dims, batch_axes)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
         condition = _is_inside(w, starts, limits)
-        first = _offset(w, operand.shape, [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)])
+        first = _offset(w, operand.shape, [_clip_index(w, s, limit) for s, limit in zip(starts, limits, strict=True)])
         for i in np.ndindex(*(sizes[axis] for axis in window_axes)):
-            at, window = [0] * updates.ndim, np.zeros(operand.ndim, int)
+            index, window = [0] * updates.ndim, np.zeros(operand.ndim, int)
             for axis, k in zip(batch, b, strict=True):
-                at[axis] = k
+                index[axis] = k
             for axis, k in zip(d.update_window_dims, i, strict=True):
-                at[axis] = k
+                index[axis] = k
             window[window_axes] = i
-            place = array_entries(name, (1,), first, _flat(operand.shape, tuple(window)))[0].text
-            w.say(f"if ({condition}) {place} {'+=' if adds else '='} {as_c(updates[tuple(at)])};")
+            place = array_entries(name, (1,), first, _flat_index(operand.shape, tuple(window)))[0].text
+            w.say(f"if ({condition}) {place} {'+=' if adds else '='} {as_c(updates[tuple(index)])};")
     return array_entries(name, operand.shape)
 
 
@@ -113,7 +113,7 @@ def as_c_array(w: Writer, kind: str, values: Entries) -> Term:
 
 
 def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window: NDArray[np.int64]) -> Entries:
-    """The entries at `starts` plus the indices on the last axis of `window`."""
+    """Return the entries at `starts` plus the indices on the last axis of `window`."""
     out = np.empty(window.shape[:-1], object)
     if not any(isinstance(s, Term) for s in starts):
         for i in np.ndindex(out.shape):
@@ -121,22 +121,22 @@ def _read(w: Writer, eqn: Eqn, operand: Entries, starts: Sequence[Entry], window
         return out
     if not out.size:
         return out
-    here = as_c_array(w, kind_of(eqn.invars[0].aval.dtype), operand)
-    first = _offset(w, operand.shape, starts, here.base)
+    array = as_c_array(w, kind_of(eqn.invars[0].aval.dtype), operand)
+    first = _offset(w, operand.shape, starts, array.base)
     for i in np.ndindex(out.shape):
-        out[i] = array_entries(here.store, (1,), first, here.place + _flat(operand.shape, tuple(window[i])))[0]
+        out[i] = array_entries(array.store, (1,), first, array.place + _flat_index(operand.shape, tuple(window[i])))[0]
     return out
 
 
 def _copy_operand(w: Writer, eqn: Eqn, operand: Entries) -> str:
-    """The name of a new array with a copy of the operand."""
+    """Return the name of a new array with a copy of the operand."""
     name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
     w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(as_c, operand.flat)) or '0'}}};")
     return name
 
 
-def _inside(w: Writer, start: Entry, most: int) -> Entry:
-    """An index clipped to 0 .. most."""
+def _clip_index(w: Writer, start: Entry, most: int) -> Entry:
+    """Return an index clipped to 0 .. most."""
     if not most:
         return np.int64(0)
     if isinstance(start, Term):
@@ -145,13 +145,13 @@ def _inside(w: Writer, start: Entry, most: int) -> Entry:
 
 
 def _is_inside(w: Writer, starts: Sequence[Entry], limits: list[int]) -> str:
-    """A condition in C: the indices are in 0 .. limits."""
-    each = [f"{as_c(s)} >= 0 && {as_c(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
-    return w.let("bool", " && ".join(each)).text
+    """Return a condition in C: the indices are in 0 .. limits."""
+    conditions = [f"{as_c(s)} >= 0 && {as_c(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
+    return w.let("bool", " && ".join(conditions)).text
 
 
 def _or_else(w: Writer, eqn: Eqn, values: Entries, condition: str) -> Entries:
-    """The value, or the fill value if the index is outside."""
+    """Return the values, or the fill value if the index is outside."""
     aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
     default = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
@@ -161,12 +161,12 @@ def _or_else(w: Writer, eqn: Eqn, values: Entries, condition: str) -> Entries:
     return out
 
 
-def _flat(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
+def _flat_index(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
     return int(np.ravel_multi_index(index, shape)) if shape else 0
 
 
 def _offset(w: Writer, shape: tuple[int, ...], starts: Sequence[Entry], base: str = "") -> str:
-    """The index in C of the entry at `starts`, relative to a base."""
+    """Return the index in C of the entry at `starts`, relative to a base."""
     strides = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
     terms = [f"{as_c(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
     text = " + ".join([*([base] if base else []), *terms])

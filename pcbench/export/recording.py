@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.export.structs import Vector, events_of
+from pcbench.export.structs import RecordedRun, events_of
 from pcbench.plants import estimated_of
 from pcbench.playback import stream
 from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, room_of
@@ -11,7 +11,7 @@ from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, r
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Vector]:
+def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, RecordedRun]:
     """Return an observer prepared for a recording, and the recording as a run, without the expected estimates.
 
     Raises UserError if the recording is too long for a table in C.
@@ -31,4 +31,4 @@ def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Vecto
     inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last_tick + 1]
     truth = np.concatenate([part.truth for part in parts])[: a.last_tick + 1]
     events = [event for part in parts for event in events_of(part.window, notifies, part.first)]
-    return p, Vector(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)
+    return p, RecordedRun(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)

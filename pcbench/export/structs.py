@@ -76,9 +76,9 @@ def declare_struct(name: str, struct_fields: Iterable[Field]) -> list[str]:
     for f in struct_fields:
         if f.size:
             shape = "" if len(f.shape) < 2 else f"{list(f.shape)}, row after row"
-            about = "; ".join(filter(None, (f.note, shape)))
+            comment = "; ".join(filter(None, (f.note, shape)))
             array = f"[{f.size}]" if f.shape else ""
-            lines.append(f"    {f.kind} {f.name}{array};{f' /* {about} */' if about else ''}")
+            lines.append(f"    {f.kind} {f.name}{array};{f' /* {comment} */' if comment else ''}")
     if len(lines) == 1:
         lines.append("    char nothing;")
     return [*lines, f"}} {name};"]
@@ -90,12 +90,12 @@ def initialiser(struct_fields: Iterable[Field], values: Iterable[np.ndarray]) ->
     for f, value in zip(struct_fields, values, strict=True):
         if not f.size:
             continue
-        each = [as_c(x) for x in number_entries(value).flat]
-        rows = [", ".join(each[i : i + 8]) for i in range(0, len(each), 8)]
+        texts = [as_c(x) for x in number_entries(value).flat]
+        rows = [", ".join(texts[i : i + 8]) for i in range(0, len(texts), 8)]
         if f.shape:
             lines += [f"    .{f.name} = {{", *(f"        {row}," for row in rows), "    },"]
         else:
-            lines.append(f"    .{f.name} = {each[0]},")
+            lines.append(f"    .{f.name} = {texts[0]},")
     return lines or ["    .nothing = 0,"]
 
 
@@ -116,7 +116,7 @@ class Event(NamedTuple):
     ticks_since_arrival: int = 0
 
 
-class Vector(NamedTuple):
+class RecordedRun(NamedTuple):
     """One run over ticks 0 .. N."""
 
     xhat0: Floats  # [n]
@@ -128,7 +128,7 @@ class Vector(NamedTuple):
     source: str = "a simulation"
 
 
-def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
+def recorded_run(p: Plan, root_seed: int, seed: int, rows: int) -> RecordedRun:
     """Return the run of a plan with one observer, on that run's schedule (`planning.alone`).
 
     `rows` is the number of inputs from before tick 0.
@@ -165,7 +165,7 @@ def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:
     events = events_of(window, p.layout.observers[0][1].on_sample is not None, early=len(schedule.early))
     expected = out.estimates[name]
     truth = out.x[:, : expected.shape[1]]
-    return Vector(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
+    return RecordedRun(np.asarray(xhat0), np.asarray(before), out.u, events, truth, expected)
 
 
 def initial_values(

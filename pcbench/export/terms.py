@@ -56,9 +56,9 @@ class Writer:
 
     def check(self, within: Entries) -> None:
         """Write a test that records an index beyond the room unless all of these conditions are true."""
-        each = {as_c(x) for x in within.flat} - {"true"}
-        self.checks += len(each)
-        for text in sorted(each):
+        conditions = {as_c(x) for x in within.flat} - {"true"}
+        self.checks += len(conditions)
+        for text in sorted(conditions):
             self.say(f"outside = outside || !{text};")
 
     def array(self, kind: str, values: Entries) -> Entries:
@@ -119,18 +119,18 @@ def array_entries(name: str, shape: tuple[int, ...], base: str = "", first: int 
     """Return the entries of a C array, from the index `base` plus `first` on."""
     out = np.empty(int(np.prod(shape)), object)
     for i in range(out.size):
-        at = first + i
-        out[i] = Term(f"{name}[{f'{base} + {at}' if base and at else base or at}]", name, base, at)
+        index = first + i
+        out[i] = Term(f"{name}[{f'{base} + {index}' if base and index else base or index}]", name, base, index)
     return out.reshape(shape)
 
 
 def place_of(values: Entries) -> Term | None:
     """Return the first entry if all entries are consecutive in one C array; otherwise None."""
-    each = list(values.flat)
-    first = each[0] if each else None
+    terms = list(values.flat)
+    first = terms[0] if terms else None
     if not isinstance(first, Term) or not first.store:
         return None
-    for i, x in enumerate(each):
+    for i, x in enumerate(terms):
         if not isinstance(x, Term) or (x.store, x.base, x.place) != (first.store, first.base, first.place + i):
             return None
     return first

@@ -18,7 +18,7 @@ from pcbench.cli import lists, shared
 from pcbench.cli.render import recordings, results
 from pcbench.cli.render.tables import Column, Screen, align_intervals
 from pcbench.controllers import CONTROLLERS
-from pcbench.export.files import Line
+from pcbench.export.files import SignalDifference
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.report import headline
@@ -367,7 +367,7 @@ def test_a_title_says_what_was_averaged_over(method, n, words):
 def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
     about = SimpleNamespace(signals=[("x", "m")], oldest=3, dt=0.1, newer=0, observer="kf", scenario="lti")
     for error, shown in ((0.5, True), (float("nan"), False)):
-        found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
+        found = {"x": SignalDifference(most=1e-16, differs=1e-17, error=error)}
         console = shared.console()
         console.file = io.StringIO()
         recordings.export_table(SimpleNamespace(about=about), found, found, "the recording", console)

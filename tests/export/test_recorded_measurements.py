@@ -24,7 +24,7 @@ def test_what_arrives_is_what_the_simulation_has(name):
     with config.float64():
         (cell,) = parse.grid_of(study, {}, []).cells
         (p,) = (alone(each, 0, 0) for each in padding.fit(list(drafts([cell]))))
-        run = structs.vector(p, 0, 0, 1)
+        run = structs.recorded_run(p, 0, 0, 1)
     held = np.full(len(run.inputs), np.nan)
     for event in run.events:
         if event.what == structs.JUMP:
