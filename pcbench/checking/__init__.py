@@ -14,7 +14,7 @@ from pcbench.study import STUDIES, parse
 from pcbench.study.plugins import registry, user_code
 from pcbench.study.scenario_template import toml_value
 
-DEFAULT = "cart/white"  # what an observer and a controller are tried on
+DEFAULT = "cart/white"  # scenario of the checks of an observer and a controller
 
 
 class CheckReport(NamedTuple):
@@ -22,7 +22,7 @@ class CheckReport(NamedTuple):
 
     kind: str  # observer, plant, controller, scenario or study
     label: str
-    scenario: str  # what it is tried on; empty: itself
+    scenario: str  # scenario of the checks; empty: the target's own
     findings: list[Finding]
 
 
@@ -35,7 +35,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
     """
     if scenario is not None and not (
         user_code.is_reference(scenario) or scenario.endswith(".toml") or scenario in STUDIES or scenario in SCENARIOS
-    ):  # it can name no scenario: this is said before any code is run
+    ):  # reported before any code is run
         raise unknown(f"{WHERE} --scenario", "scenario", scenario, SCENARIOS)
     with config.float64():
         kind, values = kind_of(target), dict(options or {})
@@ -46,7 +46,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
                     f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is checked on its own; leave "
                     "it out."
                 )
-            parse.raw_of(target, [], parse.FROM_HERE)  # a file that is not there is no finding
+            parse.raw_of(target, [], parse.FROM_HERE)  # raises UserError for a missing file, which is no finding
             results = study.findings(target, [f"{key}={toml_value(value)}" for key, value in values.items()])
             return CheckReport(kind, label, "", results)
         if kind == "plant":
@@ -60,9 +60,10 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
-    """A scenario of a user's plant, with some of its parameters changed."""
+    """Return a scenario of a user's plant, with some of its parameters changed."""
     plugin = registry.load("plant", target, WHERE)
-    s = plant.alone(label, plugin.entry, {"user_code": {"plant": plugin}}) if name is None else parse.scenario_of(name)
+    fields = {"user_code": {"plant": plugin}}
+    s = plant.plant_scenario(label, plugin.entry, fields) if name is None else parse.scenario_of(name)
     code, actual = plugin.code, s.user_code.get("plant")
     if actual is None or (actual.code.name, actual.code.digest) != (code.name, code.digest):
         raise UserError(

@@ -16,10 +16,10 @@ from pydantic import BaseModel
 
 from pcbench.checking import jaxpr_checks
 from pcbench.checking.jaxpr_checks import WIDTH, Functions, perturb_lane
-from pcbench.checking.noise_free_runs import plan_cell, quiet, record_run, short
-from pcbench.checking.targets import Finding, SkipCheck, ask, require
+from pcbench.checking.noise_free_runs import limit_duration, noise_free, plan_cell, record_run
+from pcbench.checking.targets import Finding, SkipCheck, require, run_checks
 from pcbench.controllers import ControllerContext, ControllerSpec, entry_of, law_of
-from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.dynamics.observability import format_mode
 from pcbench.errors import UserError, brief_repr
 from pcbench.observers import entry_of as observer_of
 from pcbench.planning import loop_setup
@@ -32,8 +32,8 @@ from pcbench.study.axes import COMMANDS
 from pcbench.study.grid import cell_of
 from pcbench.study.plugins.user_code import UserPlugin
 
-TICKS, ROOM = 40, 8  # the horizon of its numbers; commands kept and on their way
-TICK = 5  # at which functions are asked
+TICKS, ROOM = 40, 8  # duration of the loop; commands in memory and in transit
+TICK = 5  # at which functions are called
 
 
 class LawArguments(NamedTuple):
@@ -42,8 +42,8 @@ class LawArguments(NamedTuple):
     params: PyTree
     tick: Array
     estimate: Array  # [n]
-    future_inputs: Array  # [ROOM, m] inputs on their way
-    memory: PyTree  # what it keeps; () where it keeps nothing
+    future_inputs: Array  # [ROOM, m] commands in transit
+    memory: PyTree  # (): it has none
 
 
 class Trial(NamedTuple):
@@ -83,9 +83,8 @@ def trial(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[s
     cell = cell_of(s)
     values = loop_setup.options(cell)
     text = ", ".join(f"{name} = {brief_repr(value)}" for name, value in values.model_dump().items())
-    return Trial(
-        label, s, values, loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
-    ), text or "it takes none"
+    context = loop_setup.make_controller_context(cell, loop_setup.Reach(ROOM, ROOM), TICKS)
+    return Trial(label, s, values, context), text or "it takes none"
 
 
 def numbers(t: Trial) -> PyTree:
@@ -106,7 +105,7 @@ def functions(t: Trial) -> Functions:
     law, start, dt = t.law, t.law.start, jnp.asarray(t.context.dt)
 
     def command(g: LawArguments) -> PyTree:
-        u = g.future_inputs[0]  # held: the first on its way
+        u = g.future_inputs[0]  # the present input is the first in transit
         now = Now(g.tick * dt, g.tick, dt, u, lambda age: u)
         memory = (g.memory,) if start else ()
         return law.command(g.params, now, g.estimate, lambda i: g.future_inputs[jnp.minimum(i, ROOM - 1)], *memory)
@@ -128,9 +127,8 @@ def numbers_are_arrays(t: Trial) -> str:
 def shapes(t: Trial) -> str:
     """Check the shapes: one command per input, set points of the first states, and memory of unchanged shape."""
     n, m = t.context.model.B.shape
-    controller_shape_checks.check(
-        t.label, t.law, numbers(t), controller_shape_checks.Sizes(n, len(estimated_of(t.scenario)) - n, m)
-    )
+    sizes = controller_shape_checks.Sizes(n, len(estimated_of(t.scenario)) - n, m)
+    controller_shape_checks.check(t.label, t.law, numbers(t), sizes)
     return f"{', '.join(functions(t))} return arrays of the right shapes"
 
 
@@ -168,7 +166,7 @@ def settles(t: Trial) -> str:
     if sentence := controller_table.warning(t.scenario, "settles"):
         raise UserError(sentence)
     return (
-        f"the closed loop on {where} has the eigenvalue {shown_mode(slowest.mode)} over {slowest.period:g} s, of size "
+        f"the closed loop on {where} has the eigenvalue {format_mode(slowest.mode)} over {slowest.period:g} s, of size "
         f"{abs(slowest.mode):.4g}"
     )
 
@@ -177,7 +175,7 @@ def run(t: Trial) -> str:
     """Check that a run with the true initial state and without noise stays finite."""
     observer = "ekf" if nonlinear(t.scenario) else "model-only"
     cell = cell_of(t.scenario)._replace(options={observer: observer_of(observer).options()})
-    (p,) = plan_cell(quiet(short(cell)))
+    (p,) = plan_cell(noise_free(limit_duration(cell)))
     s, out = p.cell.scenario, record_run(p, noise=False)
     x = np.asarray(out.x)[:, : len(states_of(s))]
     for k in np.flatnonzero(~(np.isfinite(x).all(1) & np.isfinite(np.asarray(out.u)).all(1))):
@@ -205,4 +203,4 @@ NEEDS = {"": BASIC, "numbers": (), "shapes": ("numbers",), "settles": (*BASIC, "
 
 def findings(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> list[Finding]:
     """Return the results of all checks of a controller that closes the loop of a scenario."""
-    return ask("options", partial(trial, label, plugin, scenario, options), CHECKS, NEEDS)
+    return run_checks("options", partial(trial, label, plugin, scenario, options), CHECKS, NEEDS)

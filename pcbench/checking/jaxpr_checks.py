@@ -136,22 +136,22 @@ def lanes(functions: Functions, rows: Sequence[PyTree], arguments_of: Callable[[
     """
     batch_args = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
 
-    def every(some: Functions) -> Callable[[PyTree], PyTree]:
-        return lambda row: {name: f(arguments_of(row)) for name, f in some.items()}
+    def by_name(subset: Functions) -> Callable[[PyTree], PyTree]:
+        return lambda row: {name: f(arguments_of(row)) for name, f in subset.items()}
 
-    def entrywise(some: Functions) -> PyTree:
+    def entrywise(subset: Functions) -> PyTree:
         def run(rows: PyTree) -> PyTree:
             lane = jax.tree.map(lambda a: split(a) if a.size else a[..., 0], rows)  # what is empty differs in none
-            return _join_lanes(vmap_entrywise(every(some))(lane))
+            return _join_lanes(vmap_entrywise(by_name(subset))(lane))
 
         return jax.jit(run)(batch_args)
 
     ways: dict[str, Callable[[Functions], PyTree]] = {
-        "vmap over the last axis": lambda some: jax.jit(jax.vmap(every(some), -1, -1))(batch_args),
+        "vmap over the last axis": lambda subset: jax.jit(jax.vmap(by_name(subset), -1, -1))(batch_args),
         "pcbench's batches": entrywise,
     }
-    expected = jax.tree.map(lambda *a: jnp.stack(a, -1), *map(jax.jit(every(functions)), rows))
-    for way, run in ways.items():
+    expected = jax.tree.map(lambda *a: jnp.stack(a, -1), *map(jax.jit(by_name(functions)), rows))
+    for batching, run in ways.items():
         try:
             batch = run(functions)
         except Exception:
@@ -160,16 +160,15 @@ def lanes(functions: Functions, rows: Sequence[PyTree], arguments_of: Callable[[
                     run({name: f})
                 except Exception as error:
                     raise UserError(
-                        f"many runs: {name} in {way}: got {describe_exception(error)}, expected a batch of runs; write it in "
-                        "jax.numpy, "
-                        "without callbacks into Python."
+                        f"many runs: {name} in {batching}: got {describe_exception(error)}, expected a batch of runs; write "
+                        "it in jax.numpy, without callbacks into Python."
                     ) from None
             raise
-        for name, one in expected.items():
-            pairs = zip(jax.tree.leaves(batch[name]), jax.tree.leaves(one), strict=True)
+        for name, single in expected.items():
+            pairs = zip(jax.tree.leaves(batch[name]), jax.tree.leaves(single), strict=True)
             if not all(a.shape == b.shape and np.allclose(a, b, CLOSE, CLOSE, equal_nan=True) for a, b in pairs):
                 raise UserError(
-                    f"many runs: {name} in {way}: got other numbers than one run at a time gives, expected the same to "
+                    f"many runs: {name} in {batching}: got other numbers than one run at a time gives, expected the same to "
                     f"{CLOSE:g}; make each run independent of the others, and use gains of a moderate size."
                 )
     return f"{len(rows)} runs at once are the same as one at a time"
@@ -178,10 +177,10 @@ def lanes(functions: Functions, rows: Sequence[PyTree], arguments_of: Callable[[
 def _join_lanes(tree: PyTree) -> PyTree:
     """Stack the runs on the last axis; a value that is equal in all runs is repeated."""
 
-    def one(x: Any) -> jax.Array:
+    def join_leaf(x: Any) -> jax.Array:
         return join(x) if is_lanes(x) else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), WIDTH))
 
-    return jax.tree.map(one, tree, is_leaf=is_lanes)
+    return jax.tree.map(join_leaf, tree, is_leaf=is_lanes)
 
 
 def perturb_lane(tree: PyTree, lane: int) -> PyTree:

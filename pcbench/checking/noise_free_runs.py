@@ -1,6 +1,6 @@
 """Short runs, recorded tick by tick, also without noise or errors of the assumptions.
 
-In a quiet run the model and the assumed initial state are true, and there is no noise. Schedule, input and controller
+In a noise-free run the model and the assumed initial state are true, and there is no noise. Schedule, input and controller
 are those of the grid point.
 """
 
@@ -18,17 +18,17 @@ from pcbench.simulation.trajectory import Recording
 from pcbench.simulation.types import present, truth
 from pcbench.study.grid import Cell
 
-LONGEST = 4000  # ticks that are recorded while one waits
+LONGEST = 4000  # ticks of a recorded run, at most
 
 
-def short(cell: Cell) -> Cell:
+def limit_duration(cell: Cell) -> Cell:
     """Return a cell with a duration of at most `LONGEST` ticks."""
     s = cell.scenario
     ticks = min(cell.times.ticks, LONGEST)
     return cell.with_fields(duration=ticks * s.dt, steady_start=min(s.scoring.steady_start, (ticks - 1) * s.dt))
 
 
-def quiet(cell: Cell) -> Cell:
+def noise_free(cell: Cell) -> Cell:
     """Return a cell in which all assumptions of the observers are true and the plant has no process noise."""
     s = cell.scenario
     changes = {"unknown_input": "zero"} if s.truth.unknown_input else {}
@@ -47,13 +47,13 @@ def quiet(cell: Cell) -> Cell:
     return quiet_cell._replace(parameters={}, choices=choices)
 
 
-def plan_cell(cell: Cell, known: bool = True) -> list[Plan]:
+def plan_cell(cell: Cell, true_unknowns: bool = True) -> list[Plan]:
     """Return the plan of a cell; in a closed loop one plan per observer.
 
-    If `known`, the observers start with the true values of the plant's unknown parameters.
+    If `true_unknowns`, the observers start with the true values of the plant's unknown parameters.
     """
     context = planning.context_of(cell)
-    if known:
+    if true_unknowns:
         context = context._replace(unknown0=unknowns(cell, context.unknown0))
     by_plan = [{o: cell.options[o]} for o in cell.options] if cell.scenario.loop.controller else [cell.options]
     return [padding.fit([planning.draft(cell, options, context)])[0] for options in by_plan]
@@ -87,8 +87,8 @@ def errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
     return by_label
 
 
-def in_parts(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
+def relative_errors(p: Plan, out: Recording) -> dict[str, NDArray[np.float64]]:
     """Return the absolute errors of the states divided by the largest state, by label: [N+1, n]."""
     n = len(states_of(p.cell.scenario))
-    size = np.abs(np.asarray(out.x)[:, :n]).max() or 1.0
-    return {label: e[:, :n] / size for label, e in errors(p, out).items()}
+    largest = np.abs(np.asarray(out.x)[:, :n]).max() or 1.0
+    return {label: e[:, :n] / largest for label, e in errors(p, out).items()}

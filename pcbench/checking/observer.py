@@ -18,7 +18,7 @@ from jaxtyping import PyTree
 
 from pcbench.checking import jaxpr_checks
 from pcbench.checking.jaxpr_checks import WIDTH, is_same_program, perturb_lane, program
-from pcbench.checking.noise_free_runs import errors, in_parts, plan_cell, quiet, record_run, short
+from pcbench.checking.noise_free_runs import errors, limit_duration, noise_free, plan_cell, record_run, relative_errors
 from pcbench.checking.observer_fixtures import (
     AGE,
     TICK,
@@ -31,7 +31,7 @@ from pcbench.checking.observer_fixtures import (
     trial,
 )
 from pcbench.checking.study import LINEAR, ROUNDING, claims_it, require_none
-from pcbench.checking.targets import Finding, SkipCheck, ask, require
+from pcbench.checking.targets import Finding, SkipCheck, require, run_checks
 from pcbench.errors import UserError
 from pcbench.protocols import Arrival, Gains
 from pcbench.scenarios import Scenario
@@ -43,9 +43,10 @@ from pcbench.simulation.types import GridPointParams, Layout, present
 from pcbench.study.grid import cell_of
 from pcbench.study.plugins.user_code import Code, UserPlugin
 
-ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
-RATE = 1.4  # a correction by a rate grows from tick to tick, by nearly 2 at first; a late one is there at once
-WRONG = 0.07  # part by which a start is wrong where one is needed
+# entries of constant arrays that are no gains, as of selections and Runge-Kutta steps
+ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)
+RATE = 1.4  # a correction by a rate grows from tick to tick, by nearly 2 at first; a late one is complete at once
+WRONG = 0.07  # relative error of a wrong initial state
 
 
 def shapes(t: Trial) -> str:
@@ -96,17 +97,17 @@ def lanes(t: Trial) -> str:
     return jaxpr_checks.lanes(functions(t, t.cases[0]), rows, lambda row: first._replace(memory=row[0], value=row[1]))
 
 
-def none(p: GridPointParams) -> Shift:
+def no_shift(p: GridPointParams) -> Shift:
     """Return a shift that changes nothing, for N + 2 packets: at most one per tick, and a spare one."""
     count = p.schedule.sense.shape[0] + 1
     return Shift(jnp.zeros((count, p.noise_std.shape[0])), jnp.zeros(count))
 
 
-def replay(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
+def record(t: Trial, p: GridPointParams, shift: Shift) -> Recording:
     """Record a run of the observer with the parameters `p` and shifted packets; there is room for all packets at once."""
-    quiet = p._replace(noise_std=np.zeros_like(p.noise_std))
+    problem = p._replace(noise_std=np.zeros_like(p.noise_std))
     layout = Layout(t.plant, ((t.label, t.observer),), 1, len(shift.snapshots), False)
-    return trajectory.jit_record()(layout, quiet, np.asarray(0), np.asarray(0), shift)
+    return trajectory.jit_record()(layout, problem, np.asarray(0), np.asarray(0), shift)
 
 
 def perfect_start(t: Trial) -> str:
@@ -117,7 +118,7 @@ def perfect_start(t: Trial) -> str:
         raise SkipCheck("this plant has an unknown input, so the error cannot stay 0; name a --scenario without one")
     for case in t.cases:
         p = case.problem
-        got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
+        got = jax.tree.map(np.asarray, record(t, p._replace(xhat0=p.x0), no_shift(p)))
         n = len(p.x0)  # estimates of unknown inputs and parameters may converge later
         e = np.abs(got.x[:, :n] - got.estimates[t.label][:, :n]).max(1) / np.abs(got.x[:, :n]).max()
         for k in np.flatnonzero(~(e <= (LINEAR if t.near else ROUNDING))):
@@ -133,14 +134,14 @@ def delay_0(t: Trial) -> str:
     case = next((case for case in t.cases if case.name == "delay 0"), None)
     if case is None:
         raise SkipCheck("its design refuses delay 0")
-    for bad in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
+    for tick in np.flatnonzero(~np.isfinite(_estimates(t, case)).all(1)):
         raise UserError(
-            f"delay 0: got an estimate that is not finite at tick {bad}, expected numbers when a sample of age 0 arrives; "
+            f"delay 0: got an estimate that is not finite at tick {tick}, expected numbers when a sample of age 0 arrives; "
             "do not divide by an age."
         )
     k = int(case.context.period[0])
     require(
-        _same_until(t, case, k, none(case.problem), inputs_from=k),
+        _same_until(t, case, k, no_shift(case.problem), inputs_from=k),
         f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in "
         "snapshot and jump ask past_u for an age of at least 1.",
     )
@@ -151,9 +152,9 @@ def no_peeking(t: Trial) -> str:
     """Check that estimates do not depend on data that have not arrived: values, ages, snapshots, channels, inputs."""
     _require_masked(t, t.cases[0])
     for case in t.cases:
-        plan, every = case.problem.schedule, int(case.context.period[0])
-        for k in (every // 2, 3 * every + 1):
-            in_transit = jnp.asarray(~np.isin(np.arange(len(plan.sense) + 1), plan.arrive[: k + 1]), float)
+        schedule, period = case.problem.schedule, int(case.context.period[0])
+        for k in (period // 2, 3 * period + 1):
+            in_transit = jnp.asarray(~np.isin(np.arange(len(schedule.sense) + 1), schedule.arrive[: k + 1]), float)
             shift = Shift(jnp.tile(in_transit[:, None], len(case.problem.noise_std)), in_transit)
             require(
                 _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
@@ -166,13 +167,13 @@ def no_peeking(t: Trial) -> str:
 def after_the_jump(t: Trial) -> str:
     """Check that an arrival changes the estimate of its own tick, or the rate of the flow from that tick on."""
     case = t.cases[0]
-    plan, q = case.problem.schedule, len(case.problem.noise_std)
-    k = int(np.flatnonzero((plan.arrive >= 0).any(1))[:3][-1])  # the tick of an arrival after a few others
-    count = len(plan.sense) + 1
-    packet_mask = jnp.asarray(np.arange(count) == plan.arrive[k].max(), float)
+    schedule, q = case.problem.schedule, len(case.problem.noise_std)
+    k = int(np.flatnonzero((schedule.arrive >= 0).any(1))[:3][-1])  # the tick of an arrival after a few others
+    count = len(schedule.sense) + 1
+    packet_mask = jnp.asarray(np.arange(count) == schedule.arrive[k].max(), float)
     shift = Shift(jnp.tile(packet_mask[:, None], q), jnp.zeros(count))
-    plain, perturbed = (_estimates(t, case, s) for s in (none(case.problem), shift))
-    change = np.abs(perturbed - plain).max(1)
+    unshifted, perturbed = (_estimates(t, case, s) for s in (no_shift(case.problem), shift))
+    change = np.abs(perturbed - unshifted).max(1)
     if not change.any():
         return "no measurement changes its estimate"
     if not t.candidate.entry.knows_schedule:
@@ -188,25 +189,25 @@ def after_the_jump(t: Trial) -> str:
 
 
 def _estimates(t: Trial, case: Case, shift: Shift | None = None) -> np.ndarray:
-    """The estimates at ticks 0 .. N, from a wrong initial state, [N+1, n or n + s]."""
+    """Return the estimates at ticks 0 .. N, from a wrong initial state, [N+1, n or n + s]."""
     p = case.problem
     wrong = p._replace(xhat0=p.x0 * (1 - WRONG) - WRONG)
-    return np.asarray(replay(t, wrong, none(p) if shift is None else shift).estimates[t.label])
+    return np.asarray(record(t, wrong, no_shift(p) if shift is None else shift).estimates[t.label])
 
 
 def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ages_from: int | None = None) -> bool:
-    """Whether the estimates of ticks 0 .. k keep their bits if packets, later inputs and later ages are changed."""
+    """Return whether the estimates of ticks 0 .. k keep their bits if packets, later inputs and later ages are changed."""
     p = case.problem
     u = np.array(p.inputs)
     u[inputs_from:] += 1.0
-    plan = p.schedule
+    schedule = p.schedule
     if ages_from is not None:
-        timestamp = np.array(plan.timestamp)
+        timestamp = np.array(schedule.timestamp)
         timestamp[ages_from:] = np.maximum(timestamp[ages_from:] - 1, 0)
-        plan = plan._replace(timestamp=timestamp)
-    plain = _estimates(t, case)
-    perturbed = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
-    return np.array_equal(plain[: k + 1], perturbed[: k + 1], equal_nan=True)
+        schedule = schedule._replace(timestamp=timestamp)
+    unshifted = _estimates(t, case)
+    perturbed = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=schedule)), shift)
+    return np.array_equal(unshifted[: k + 1], perturbed[: k + 1], equal_nan=True)
 
 
 def _require_masked(t: Trial, case: Case) -> None:
@@ -244,10 +245,10 @@ def closed_loop(candidate: Candidate, scenario: Scenario) -> str:
     """
     label, plugin = candidate.label, UserPlugin(candidate.entry, Code("", candidate.label, (), ""))
     cell = cell_of(scenario)._replace(options={label: candidate.options}, user_observers={label: plugin})
-    (p,) = plan_cell(quiet(short(cell)))
+    (p,) = plan_cell(noise_free(limit_duration(cell)))
     out, where = record_run(p, noise=False), f"closed loop: got, in {scenario.name} under {scenario.loop.controller},"
     if claims_it(cell, label):
-        require_none(in_parts(p, out)[label], where, cell)
+        require_none(relative_errors(p, out)[label], where, cell)
         return f"no error in {scenario.name} under {scenario.loop.controller}"
     e = errors(p, out)[label]
     bad = np.flatnonzero(~(e <= p.problem.bound[: e.shape[1]]).all(1))
@@ -270,8 +271,8 @@ CHECKS: dict[str, Callable[[Trial], str]] = {
     "no peeking": no_peeking,
     "after the jump": after_the_jump,
 }
-BASIC = ("shapes",)  # what must pass before another check is asked
-WHOLE_RUNS = ("perfect start", "delay 0", "no peeking", "after the jump", "closed loop")  # are carried over lanes
+BASIC = ("shapes",)  # must pass before another check is run
+WHOLE_RUNS = ("perfect start", "delay 0", "no peeking", "after the jump", "closed loop")  # checks that simulate runs
 NEEDS = {"": BASIC, "shapes": (), "gains": (*BASIC, "purity"), **dict.fromkeys(WHOLE_RUNS, (*BASIC, "many runs"))}
 
 
@@ -284,4 +285,4 @@ def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
         return t, f"gains on {len(t.cases)} schedules of {scenario.name}{refusals}"
 
     loop = {"closed loop": lambda t: closed_loop(candidate, scenario)} if scenario.loop.controller else {}
-    return ask("design", design, CHECKS | loop, NEEDS)
+    return run_checks("design", design, CHECKS | loop, NEEDS)

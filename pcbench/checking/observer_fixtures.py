@@ -31,10 +31,10 @@ from pcbench.study.grid import cell_of
 from pcbench.study.plugins import registry
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext
 
-NEAR = 1e-7  # of the spread of a start: there a plant is its linear model
-SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
+NEAR = 1e-7  # distance from the operating point, relative to the initial spread, at which a plant is linear to rounding
+SLOTS, SPAN = 3, 8  # largest number of arrivals at a tick; duration in sampling periods
 VARYING = ("one clock", "any schedule")
-TICK, AGE = 5, 2  # where the functions are asked: a tick and an age that every schedule has
+TICK, AGE = 5, 2  # tick and age at which the functions are called; every schedule has them
 
 
 class Candidate(NamedTuple):
@@ -85,7 +85,7 @@ class Trial(NamedTuple):
     candidate: Candidate
     plant: Plant
     cases: tuple[Case, ...]
-    refusals: tuple[str, ...]  # its own sentences
+    refusals: tuple[str, ...]  # messages of its design for the other schedules
     near: bool = False  # whether the runs are near the operating point of a nonlinear plant
 
     @property
@@ -101,33 +101,33 @@ class Trial(NamedTuple):
 
 def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
     """Return the schedules of the checks, without gains; with `near` the runs stay near the operating point."""
-    measured, size = scenario.sampling, NEAR if near else 1.0
+    sampling, size = scenario.sampling, NEAR if near else 1.0
     x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
-    every, at_once = times.to_ticks(measured.sampling_period[0], scenario), len(measured.delay)
-    seconds = [every * scenario.dt * delay for delay in (0, 1, 2.5)]
-    usual = all(not isinstance(d, str) and times.to_ticks(d, scenario) <= 3 * every for d in measured.delay)
-    plain = scenario._replace(
+    period, n_channels = times.to_ticks(sampling.sampling_period[0], scenario), len(sampling.delay)
+    seconds = [period * scenario.dt * delay for delay in (0, 1, 2.5)]
+    is_usual = all(not isinstance(d, str) and times.to_ticks(d, scenario) <= 3 * period for d in sampling.delay)
+    base = scenario._replace(
         truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
         loop=Loop(input="zero"),
         sampling=Sampling(
-            sampling_period=(every * scenario.dt,) * at_once,
-            delay=measured.delay if usual else (seconds[1],) * at_once,
-            noise_std=measured.noise_std,
+            sampling_period=(period * scenario.dt,) * n_channels,
+            delay=sampling.delay if is_usual else (seconds[1],) * n_channels,
+            noise_std=sampling.noise_std,
         ),
-        duration=SPAN * every * scenario.dt,
+        duration=SPAN * period * scenario.dt,
     ).with_fields(xhat0=x0, assumed_delay_error=0.0, initial_box=(), steady_start=scenario.dt)
-    scenarios = {"the scenario's own": plain}
+    scenarios = {"the scenario's own": base}
     for name, delay in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
-        length = every * scenario.dt * 2 if delay == seconds[2] and every % 2 else delay
-        scenarios[name] = plain.with_fields(delay=(length,) * at_once)
+        length = period * scenario.dt * 2 if delay == seconds[2] and period % 2 else delay
+        scenarios[name] = base.with_fields(delay=(length,) * n_channels)
     if takes in VARYING:
-        turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
+        turn = tuple(max(part, 1) * scenario.dt for part in (period, period // 2, period + period // 3))
         scenarios["varying intervals"] = scenarios["one period late"].with_fields(sampling_pattern=turn)
     all_cases = [_case(name, s, None, size) for name, s in scenarios.items()]
     if takes in VARYING:
-        all_cases.append(_case("samples out of sequence", scenarios["one period late"], every, size))
-    most = reduce(DesignContext.roomier, (c.context for c in all_cases))
-    return [c._replace(context=c.context.roomier(most)) for c in all_cases]
+        all_cases.append(_case("samples out of sequence", scenarios["one period late"], period, size))
+    roomiest = reduce(DesignContext.roomier, (c.context for c in all_cases))
+    return [c._replace(context=c.context.roomier(roomiest)) for c in all_cases]
 
 
 def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Case:
@@ -151,9 +151,8 @@ def _case(name: str, scenario: Scenario, spacing: int | None, size: float) -> Ca
     u = size * (np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5)
     p = p._replace(schedule=common_times.pad_slots(p.schedule, SLOTS), inputs=u)
     arrays = jax.tree.map(jnp.asarray, p)
-    unknowns = np.asarray(truth(draft.layout, arrays.params, present(arrays, jnp.asarray(0), True), arrays.x0))[
-        len(p.x0) :
-    ]
+    signals = np.asarray(truth(draft.layout, arrays.params, present(arrays, jnp.asarray(0), True), arrays.x0))
+    unknowns = signals[len(p.x0) :]
     true = unknowns if context.field is not None or context.successor is not None else context.unknown0
     return Case(name, context._replace(unknown0=tuple(map(float, true))), p)
 

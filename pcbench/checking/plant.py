@@ -18,14 +18,13 @@ from numpy.typing import ArrayLike
 
 from pcbench.checking import jaxpr_checks
 from pcbench.checking.jaxpr_checks import WIDTH, Functions
-from pcbench.checking.noise_free_runs import in_parts, plan_cell, quiet, record_run
+from pcbench.checking.noise_free_runs import noise_free, plan_cell, record_run, relative_errors
 from pcbench.checking.observer_fixtures import NEAR
 from pcbench.checking.study import LINEAR, ROUNDING
-from pcbench.checking.targets import CheckNote, Finding, SkipCheck, ask
+from pcbench.checking.targets import CheckNote, Finding, SkipCheck, run_checks
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Model, discretize_zoh
-from pcbench.dynamics.observability import decays, unobservable
-from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.dynamics.observability import decays, format_mode, unobservable
 from pcbench.errors import UserError, brief_repr, describe_exception
 from pcbench.observers import entry_of as observer_of
 from pcbench.plants import PlantSpec, entry_of, estimated_of, numbers_of, parameters_of, states_of
@@ -35,8 +34,8 @@ from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.study import times
 from pcbench.study.grid import cell_of
 
-SHARE = 0.1  # of a state, how far it is tried around the operating point
-EVERY, POINTS, TICK = 20, 8, 5  # ticks between samples; points; the tick at which functions are asked
+SHARE = 0.1  # distance of the points from the operating point, relative to the state
+EVERY, POINTS, TICK = 20, 8, 5  # ticks between samples; points; the tick at which functions are called
 STEP, CLOSE, KINK = 1e-5, 1e-6, 1e-2  # of the spread; of the slopes; of those from either side
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
 
@@ -94,7 +93,7 @@ def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
     return t, f"{n} states, {m} inputs, {q} outputs{axes}"
 
 
-def alone(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:
+def plant_scenario(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:
     """Return a scenario of the plant without observers, with other `fields`."""
     model, n = entry.nominal(entry.numbers), len(entry.signals)
     q, m, dt = len(model.C), np.shape(model.B)[-1], entry.tick or 1e-3
@@ -117,7 +116,7 @@ def alone(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:
 
 
 def _point(entry: PlantSpec, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
-    """The operating point of the plant, x0 [n] and u0 [m]; zeros if it has none."""
+    """Return the operating point of the plant, x0 [n] and u0 [m]; zeros if it has none."""
     x0, u0 = entry.operating_point or ((0.0,) * n, (0.0,) * m)
     return np.array(x0), np.array(u0)
 
@@ -152,13 +151,13 @@ def points(t: Trial) -> list[PlantArguments]:
     return [PlantArguments(t.params, jnp.asarray(row[:n]), jnp.asarray(row[n:])) for row in rows]
 
 
-def shown_at(t: Trial, g: PlantArguments) -> str:
+def point_text(t: Trial, g: PlantArguments) -> str:
     """Return a text of a point: its states and its input."""
     x = ", ".join(f"{name} {v:.3g}" for name, v in zip(t.states, np.asarray(g.x), strict=True))
     return f"{x} and u = {brief_repr(np.asarray(g.u).round(4).tolist())} from the operating point"
 
 
-def entries_of(t: Trial, name: str) -> list[str]:
+def result_names(t: Trial, name: str) -> list[str]:
     """Return the names of the entries of a function's result."""
     if name == "output":
         return [f"output {i + 1}" for i in range(len(t.model.C))]
@@ -168,19 +167,18 @@ def entries_of(t: Trial, name: str) -> list[str]:
 def shapes(t: Trial) -> str:
     """Check that every function returns one number per state, output or unknown."""
     for name, f in functions(t).items():
-        want = (len(entries_of(t, name)),)
+        expected = (len(result_names(t, name)),)
         try:
             value = jax.eval_shape(lambda g, f=f: jnp.asarray(f(g)), points(t)[0])
         except Exception as error:
             raise UserError(
-                f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one "
-                "run, with "
-                "jnp.where instead of if; fix that line."
+                f"shapes: {name} cannot be traced ({describe_exception(error)}), expected pure jax.numpy code for one run, "
+                "with jnp.where instead of if; fix that line."
             ) from None
-        if value.shape != want:
+        if value.shape != expected:
             raise UserError(
-                f"shapes: got an array of shape {list(value.shape)} from {name}, expected {list(want)}, a number for each of "
-                f"{', '.join(entries_of(t, name))}; return all of them."
+                f"shapes: got an array of shape {list(value.shape)} from {name}, expected {list(expected)}, a number for each "
+                f"of {', '.join(result_names(t, name))}; return all of them."
             )
     return f"{', '.join(functions(t))} return arrays of the right shapes"
 
@@ -193,7 +191,7 @@ def finite(t: Trial) -> str:
             value = np.asarray(f(g))
             for i in np.flatnonzero(~np.isfinite(value)):
                 raise UserError(
-                    f"finite: got {value[i]} for {entries_of(t, name)[i]} in {name} at {shown_at(t, g)}, expected a "
+                    f"finite: got {value[i]} for {result_names(t, name)[i]} in {name} at {point_text(t, g)}, expected a "
                     "number; prevent the invalid root or division there, or name a --scenario with a smaller prior_std."
                 )
     return f"finite at the operating point and at {len(points(t)) - 1} points around it"
@@ -201,9 +199,8 @@ def finite(t: Trial) -> str:
 
 def slopes(t: Trial) -> str:
     """Check the derivatives of jax and of the linear model against central and one-sided finite differences."""
-    is_slope = t.model.nonlinearity is None and (
-        t.entry.model is None or t.entry.residual is not None
-    )  # the linear model
+    # whether the linear model is the slope at the operating point
+    is_slope = t.model.nonlinearity is None and (t.entry.model is None or t.entry.residual is not None)
     A, B = t.model.A, t.model.B
     if motion(t) == "step" and not t.model.discrete:
         A, B = discretize_zoh(A, B, t.scenario.dt)
@@ -230,22 +227,23 @@ def _compare(
     source: str,
 ) -> None:
     """Raise UserError if derivatives, times the spread of the state, differ from finite differences."""
-    at, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
+    value, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
 
     def value_near(j: int, sign: int) -> np.ndarray:
         shifted = getattr(g, name).at[j].add(sign * STEP * size[j])
         return np.asarray(f(g._replace(**{name: shifted})))
 
-    up, down = ((np.stack([value_near(j, s) for j in range(len(size))], 1) - at[:, None]) * s / STEP for s in (1, -1))
-    scale = np.abs(expected).max() + np.abs(at)[:, None] + np.abs(up)
+    columns = range(len(size))
+    up, down = ((np.stack([value_near(j, s) for j in columns], 1) - value[:, None]) * s / STEP for s in (1, -1))
+    scale = np.abs(expected).max() + np.abs(value)[:, None] + np.abs(up)
     for difference, tol in (((up + down) / 2, CLOSE), (up, KINK), (down, KINK)):
         bad = np.argwhere(~(np.abs(difference - expected) <= tol * scale + 1e-300))
         if bad.size:
             i, j = bad[0]
             raise UserError(
                 f"slopes: got {expected[i, j] / size[j]:.6g} from {source} and {difference[i, j] / size[j]:.6g} from "
-                f"differences for the slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, "
-                "expected the same; smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
+                f"differences for the slope of {result_names(t, function)[i]} in {function} by {names[j]}, at "
+                f"{point_text(t, g)}, expected the same; smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
             )
 
 
@@ -253,17 +251,17 @@ def axes(t: Trial) -> str:
     """Check that each parameter that a study can vary has an effect."""
     if not t.axes:
         raise SkipCheck("it has no parameters that a study can vary")
-    numbers, idle = numbers_of(t.scenario), []
+    numbers, ineffective = numbers_of(t.scenario), []
     fs = [jax.jit(f) for name, f in functions(t).items() if name != "unknown"]
     for name in t.axes:
         value = getattr(numbers, name)
         perturbed = t.entry.prepare(numbers._replace(**{name: 1.01 * value or 0.01}), t.scenario.dt, 10)
         params = jax.tree.map(jnp.asarray, perturbed)
         if all(np.array_equal(f(g), f(g._replace(params=params))) for f in fs for g in points(t)):
-            idle.append(f"plant.{name}")
-    if idle:
+            ineffective.append(f"plant.{name}")
+    if ineffective:
         raise CheckNote(
-            f"around the operating point {', '.join(idle)} changes nothing: a study that varies it gets equal results"
+            f"around the operating point {', '.join(ineffective)} changes nothing: a study that varies it gets equal results"
         )
     return "each of its parameters changes the plant"
 
@@ -288,20 +286,20 @@ def tick(t: Trial) -> str:
     if motion(t) == "step":
         raise SkipCheck("it is defined by its step: a tick has no integration error")
     dt, ticks = t.scenario.dt, times.to_ticks(t.scenario.duration, t.scenario)
-    step, by = jax.jit(functions(t)["step"]), stepping(t)
-    off = max(_off(t, g, step(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
-    if not off * ticks <= EXACT:
-        fine = next((h for h in finer(dt) if integration_error(t, by, h) <= EXACT), None)
+    step, advance = jax.jit(functions(t)["step"]), stepping(t)
+    difference = max(_relative_difference(t, g, step(g), advance(advance(g, dt / 2), dt / 2).x) for g in points(t))
+    if not difference * ticks <= EXACT:
+        shorter = next((h for h in finer(dt) if integration_error(t, advance, h) <= EXACT), None)
         advice = (
-            f"write dt = {fine:g}, or less"
-            if fine
+            f"write dt = {shorter:g}, or less"
+            if shorter
             else "check that step agrees with field, or leave out dynamics that are so fast"
         )
         raise UserError(
-            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.duration:g} s, "
-            f"expected {EXACT:g} at most in all; {advice}."
+            f"tick: got a tick of {dt:g} s that is off by {difference:.2g} of a state, {ticks} times in "
+            f"{t.scenario.duration:g} s, expected {EXACT:g} at most in all; {advice}."
         )
-    return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.duration:g} s"
+    return f"a tick of {dt:g} s is off by {difference:.2g} of a state, {difference * ticks:.2g} in {t.scenario.duration:g} s"
 
 
 def stepping(t: Trial) -> Callable[[PlantArguments, float], PlantArguments]:
@@ -316,15 +314,15 @@ def stepping(t: Trial) -> Callable[[PlantArguments, float], PlantArguments]:
     return lambda g, h: step(g, jnp.asarray(h))
 
 
-def _off(t: Trial, g: PlantArguments, one: ArrayLike, two: ArrayLike) -> float:
-    """The difference of two results of a tick, divided by the state's spread; inf if one of them is not finite."""
-    off = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
-    return float(off.max()) if np.isfinite(off).all() else np.inf
+def _relative_difference(t: Trial, g: PlantArguments, one: ArrayLike, two: ArrayLike) -> float:
+    """Return the difference of two results of a tick, divided by the state's spread; inf if one of them is not finite."""
+    difference = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
+    return float(difference.max()) if np.isfinite(difference).all() else np.inf
 
 
-def integration_error(t: Trial, by: Callable[[PlantArguments, float], PlantArguments], dt: float) -> float:
+def integration_error(t: Trial, advance: Callable[[PlantArguments, float], PlantArguments], dt: float) -> float:
     """Return the summed error of all ticks of the duration, each a Runge-Kutta step of dt."""
-    errors = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
+    errors = (_relative_difference(t, g, advance(g, dt).x, advance(advance(g, dt / 2), dt / 2).x) for g in points(t))
     return max(errors) * t.scenario.duration / dt
 
 
@@ -337,7 +335,7 @@ def finer(dt: float) -> list[float]:
 def check_observability(t: Trial) -> str:
     """Check that every mode of the linear model is visible in an output."""
     hidden = unobservable(t.model.A, t.model.C)
-    persistent = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
+    persistent = [format_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
     if persistent:
         raise CheckNote(
             f"no output shows the mode {' and '.join(persistent)}, which does not decay: no observer can estimate the state; "
@@ -345,7 +343,7 @@ def check_observability(t: Trial) -> str:
         )
     if hidden:
         raise CheckNote(
-            f"no output shows the mode {' and '.join(map(shown_mode, hidden))}, which decays: observers that place every pole "
+            f"no output shows the mode {' and '.join(map(format_mode, hidden))}, which decays: observers that place every pole "
             "refuse the plant, kf and ekf do not"
         )
     return "every mode is observable"
@@ -355,18 +353,18 @@ def perfect_start(t: Trial) -> str:
     """Check that observers with the true model have no error, from a true initial state without noise."""
     if t.model.nonlinearity is not None:
         raise SkipCheck("its unknown input has a known part, which the linear model leaves out")
-    away = t.entry.model is not None or t.entry.successor is not None
+    is_nonlinear = t.entry.model is not None or t.entry.successor is not None
     at_rest = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
-    name, size = ("ekf", 1.0) if away and not at_rest else ("model-only", NEAR if away else 1.0)
+    name, size = ("ekf", 1.0) if is_nonlinear and not at_rest else ("model-only", NEAR if is_nonlinear else 1.0)
     q, every = len(t.model.C), EVERY * t.scenario.dt
-    plain = t.scenario._replace(
+    base = t.scenario._replace(
         loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), duration=4 * every
     )
-    s = plain.with_fields(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
+    s = base.with_fields(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
     cell = cell_of(s)._replace(options={name: observer_of(name).options()})
-    (p,) = plan_cell(quiet(cell))
+    (p,) = plan_cell(noise_free(cell))
     u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)
-    e = in_parts(p, record_run(p, noise=False, inputs=u))[name]
+    e = relative_errors(p, record_run(p, noise=False, inputs=u))[name]
     tol = LINEAR if size == NEAR else ROUNDING
     for k, i in np.argwhere(~(e <= tol)):
         raise UserError(
@@ -398,4 +396,4 @@ NEEDS = {"": BASIC, "shapes": (), "seen": (), **dict.fromkeys(("slopes", "rest",
 
 def findings(label: str, scenario: Scenario) -> list[Finding]:
     """Return the results of all checks of a scenario's plant."""
-    return ask("numbers", partial(trial, label, scenario), CHECKS, NEEDS)
+    return run_checks("numbers", partial(trial, label, scenario), CHECKS, NEEDS)

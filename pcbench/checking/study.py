@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from pcbench import planning
-from pcbench.checking.noise_free_runs import errors, in_parts, plan_cell, quiet, record_run, short
-from pcbench.checking.targets import CheckNote, Finding, SkipCheck, ask
-from pcbench.dynamics.observability import format_mode as shown_mode
+from pcbench.checking.noise_free_runs import errors, limit_duration, noise_free, plan_cell, record_run, relative_errors
+from pcbench.checking.targets import CheckNote, Finding, SkipCheck, run_checks
+from pcbench.dynamics.observability import format_mode
 from pcbench.errors import UserError
 from pcbench.planning import all_observers
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
@@ -17,8 +17,8 @@ from pcbench.study.grid import Cell, Grid
 from pcbench.study.parse import StudyLike
 
 ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
-LINEAR = 1e-5  # what a linear model may be off where a run is near the operating point
-MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
+LINEAR = 1e-5  # the same of a linear model near the operating point of a nonlinear plant
+MOST, SEEDS = 6, 3  # cells of a scenario whose gains are computed; runs
 
 
 def load_grid(study: StudyLike, overrides: Sequence[str]) -> tuple[Grid, str]:
@@ -49,12 +49,12 @@ def _by_scenario(grid: Grid) -> list[list[Cell]]:
 
 
 def _first(grid: Grid) -> list[Cell]:
-    """The first cell of each scenario."""
+    """Return the first cell of each scenario."""
     return [cells[0] for cells in _by_scenario(grid)]
 
 
 def _spread(cells: list[Cell]) -> list[Cell]:
-    """The first cell, the last one, and some in between."""
+    """Return the first cell, the last one, and some in between."""
     return [cells[i] for i in sorted({round(i) for i in np.linspace(0, len(cells) - 1, MOST)})]
 
 
@@ -71,7 +71,7 @@ def settles(grid: Grid) -> str:
         raise UserError(sentences[0])
     if not loops:
         raise SkipCheck("no controller here has a known linear law")
-    return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in loops.items())
+    return "; ".join(f"{name}: eigenvalue {format_mode(e.mode)} over {e.period:g} s" for name, e in loops.items())
 
 
 def perfect_start(grid: Grid) -> str:
@@ -87,12 +87,12 @@ def perfect_start(grid: Grid) -> str:
         claims = [label for label in cell.options if claims_it(cell, label)]
         if not claims:
             continue
-        for p in plan_cell(quiet(short(cell))):  # all observers: the program is that of `runs`
+        for p in plan_cell(noise_free(limit_duration(cell))):  # all observers: the program is that of `runs`
             out = record_run(p, noise=False)
             if not np.isfinite(out.x).all():
                 grows.append(cell.scenario.name)
                 break
-            for label, e in in_parts(p, out).items():
+            for label, e in relative_errors(p, out).items():
                 if label in claims and label in cell.user_observers:
                     require_none(e, f"perfect start: got, from {label} in {cell.scenario.name},", cell)
                 elif label in claims and not (e <= ROUNDING).all():
@@ -131,8 +131,8 @@ def runs(grid: Grid) -> str:
     """Run some seeds of the first cell of each scenario: the plant must stay finite; observers that diverge are named."""
     diverging: list[str] = []
     for cell in _first(grid):
-        short_cell = short(cell)
-        for p in plan_cell(short_cell, known=False):
+        short_cell = limit_duration(cell)
+        for p in plan_cell(short_cell, true_unknowns=False):
             outs = [record_run(p, seed) for seed in range(SEEDS)]
             n = len(states_of(cell.scenario))
             for k in (k for out in outs for k in np.flatnonzero(~np.isfinite(np.asarray(out.x)[:, :n]).all(1))):
@@ -160,4 +160,4 @@ NEEDS = {"": (), "perfect start": ("gains",), "runs": ("gains",)}
 
 def findings(study: StudyLike, overrides: Sequence[str] = ()) -> list[Finding]:
     """Return the results of all checks of a study."""
-    return ask("reads", partial(load_grid, study, overrides), CHECKS, NEEDS)
+    return run_checks("reads", partial(load_grid, study, overrides), CHECKS, NEEDS)

@@ -49,15 +49,15 @@ def kind_of(target: str) -> str:
 
 
 PASSES, FAILS, SKIPPED, NOTE = "passes", "fails", "skipped", "note"
-T = TypeVar("T")  # what is asked about
+T = TypeVar("T")  # what the checks of a kind take: a trial, or a study's grid
 
 
 class Finding(NamedTuple):
     """The result of one check."""
 
     check: str
-    verdict: str  # passes, fails, skipped, or note: nothing is wrong, but it is to be known
-    why: str  # what was asked, where it passes; what was found and what to do, where it fails; why it was not asked
+    verdict: str  # passes, fails, skipped, or note: no mistake, but it has consequences
+    why: str  # passes: what was checked; fails: what is wrong and what to do; skipped: why it was not checked
 
 
 class SkipCheck(Exception):
@@ -74,7 +74,7 @@ def require(holds: bool, sentence: str) -> None:
         raise UserError(sentence)
 
 
-def ask(
+def run_checks(
     first: str,
     make: Callable[[], tuple[T, str]],
     checks: Mapping[str, Callable[[T], str]],
@@ -88,8 +88,8 @@ def ask(
     trials: list[T] = []
 
     def make_trial() -> str:
-        it, why = make()
-        trials.append(it)
+        trial, why = make()
+        trials.append(trial)
         return why
 
     out = [_verdict(first, make_trial)]

@@ -58,12 +58,10 @@ GUEST = ObserverSpec(
     takes="any schedule",
     elsewhere=True,
 )
-
-
 Floats = NDArray[np.float64]
 
 
-class Guest(Protocol):
+class ExternalEstimator(Protocol):
     """An object that estimates one run."""
 
     def step(self, t: float, u: Floats, arrivals: list["ChannelArrival"], /) -> ArrayLike:
@@ -91,7 +89,7 @@ def main(folder: str, reference: str, out: str) -> None:
     pd.concat(parts, ignore_index=True).to_parquet(out, index=False)
 
 
-def maker(reference: str) -> Callable[..., Guest]:
+def maker(reference: str) -> Callable[..., ExternalEstimator]:
     """Return the object MODULE:NAME; raise UserError if it cannot be called."""
     where = "external estimator"
     code = user_code.code_of(reference, where)
@@ -105,7 +103,7 @@ def maker(reference: str) -> Callable[..., Guest]:
 
 
 def of_cell(
-    make: Callable[..., Guest], cell: dict[str, Any], tables: Mapping[str, pd.DataFrame], where: str
+    make: Callable[..., ExternalEstimator], cell: dict[str, Any], tables: Mapping[str, pd.DataFrame], where: str
 ) -> Iterator[pd.DataFrame]:
     """Yield the estimates of each run of a grid point."""
     cell_tables = {
@@ -138,7 +136,7 @@ def arrivals(samples: pd.DataFrame | None, q: int) -> dict[int, list[ChannelArri
 
 
 def of_run(
-    make: Callable[..., Guest],
+    make: Callable[..., ExternalEstimator],
     cell: dict[str, Any],
     xhat0: Floats,
     inputs: Floats,
@@ -146,13 +144,13 @@ def of_run(
     where: str,
 ) -> Floats:
     """Return the estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for an exception or an invalid result."""
-    out, most = [], len(cell["signals"])
+    out, n_signals = [], len(cell["signals"])
     try:
-        guest = make(cell, xhat0.copy())
+        estimator = make(cell, xhat0.copy())
         for k in range(cell["ticks"]):
             u = inputs[k - 1] if k else np.zeros(inputs.shape[1])
-            xhat = np.asarray(guest.step(k * cell["dt"], u.copy(), arrivals_by_tick.get(k, [])), float).ravel()
-            if len(xhat) not in (len(xhat0), most):
+            xhat = np.asarray(estimator.step(k * cell["dt"], u.copy(), arrivals_by_tick.get(k, [])), float).ravel()
+            if len(xhat) not in (len(xhat0), n_signals):
                 raise UserError(
                     f"{where}: step returned {len(xhat)} numbers, expected {len(xhat0)}, one for each state; return those."
                 )

@@ -126,8 +126,8 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         schema = pa.schema(
             [pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()]
         )
-        every = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
-        columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
+        columns_by_name = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
+        columns = [pa.array(columns_by_name[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
         tables = {
             "samples": pa.Table.from_arrays(columns, schema=schema),
             "starts": _concat_tables(starts),
@@ -147,9 +147,9 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         return target
 
 
-def _keys(p: Plan, many: int, **more: object) -> dict[str, object]:
-    keys = {"scenario": p.cell.scenario.name, "cell": p.cell.number} | more
-    return {name: [value] * many for name, value in keys.items()}
+def _keys(p: Plan, count: int, **others: object) -> dict[str, object]:
+    keys = {"scenario": p.cell.scenario.name, "cell": p.cell.number} | others
+    return {name: [value] * count for name, value in keys.items()}
 
 
 def _samples(p: Plan, run: runs.Run) -> dict[str, object]:

@@ -67,7 +67,7 @@ class Memory(NamedTuple):
     """The memory of the filter between ticks."""
 
     x: Float[Array, " n"]
-    last_correction: Float[Array, " n"]  # last correction
+    last_correction: Float[Array, " n"]  # K e
     units: Float[Array, " H"]
     outputs: Float[Array, "d+1 q"]  # h of the priors of now and of the last d ticks, d the delay
 
@@ -127,11 +127,11 @@ def estimates(system: System, network: Network, y: Float[Array, "N q"]) -> Float
     return jax.lax.scan(tick, begin(system, network), jnp.arange(len(y)))[1]
 
 
-def train(system: System, how: Training = TRAINING) -> Network:
-    """Return the network trained by Adam from the seed `how.seed`."""
-    H, n = how.units, len(system.x0)
+def train(system: System, training: Training = TRAINING) -> Network:
+    """Return the network trained by Adam from the seed `training.seed`."""
+    H, n = training.units, len(system.x0)
     slope = np.asarray(jax.jacfwd(system.output)(jnp.asarray(system.x0)))  # [q, n]
-    first, second, third, runs = jax.random.split(jax.random.key(how.seed), 4)
+    first, second, third, run_key = jax.random.split(jax.random.key(training.seed), 4)
     network = Network(
         W=jax.random.normal(first, (3 * H, len(slope) + n)) / np.sqrt(len(slope) + n),
         U=jax.random.normal(second, (3 * H, H)) / np.sqrt(H),
@@ -139,7 +139,7 @@ def train(system: System, how: Training = TRAINING) -> Network:
         O=0.01 * jax.random.normal(third, (slope.size, H)) / np.sqrt(H),
         o=jnp.asarray(0.5 * np.linalg.pinv(slope).ravel()),
     )
-    rate = optax.cosine_decay_schedule(how.rate, how.steps)
+    rate = optax.cosine_decay_schedule(training.rate, training.steps)
     adam = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
     def loss(network: Network, x: Array, y: Array) -> Array:
@@ -147,11 +147,11 @@ def train(system: System, how: Training = TRAINING) -> Network:
 
     def step(state: tuple[Network, Any], key: Array) -> tuple[tuple[Network, Any], None]:
         network, moments = state
-        x, y = jax.vmap(partial(draw, system))(jax.random.split(key, how.runs))
+        x, y = jax.vmap(partial(draw, system))(jax.random.split(key, training.runs))
         change, moments = adam.update(jax.grad(loss)(network, x, y), moments)
         return (optax.apply_updates(network, change), moments), None
 
-    keys = jax.random.split(runs, how.steps)
+    keys = jax.random.split(run_key, training.steps)
     return jax.jit(partial(jax.lax.scan, step))((network, adam.init(network)), keys)[0][0]
 
 

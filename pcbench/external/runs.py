@@ -19,7 +19,7 @@ from pcbench.simulation.schedule import common_times, random_times
 from pcbench.simulation.types import GridPointParams, Layout
 from pcbench.study.grid import Cell
 
-TOGETHER = 64  # runs per call
+BATCH = 64  # runs per call
 Floats = NDArray[np.float64]
 
 
@@ -56,17 +56,17 @@ def plan_without_observers(cell: Cell) -> Plan:
 
 def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
     """Yield the runs of a planned grid point; each has the same numbers as in the simulation."""
-    for first in range(0, len(seeds), TOGETHER):
-        yield from _run_batch(p, root_seed, seeds[first : first + TOGETHER])
+    for first in range(0, len(seeds), BATCH):
+        yield from _run_batch(p, root_seed, seeds[first : first + BATCH])
 
 
 def _run_batch(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
-    end, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
-    empty_schedule = common_times.schedule([], end, q)
+    n_ticks, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
+    empty_schedule = common_times.schedule([], n_ticks, q)
     problem, root = p.problem._replace(schedule=empty_schedule), np.asarray(root_seed)
     layout = p.layout._replace(observers=(), consistency=False)
-    x = np.asarray(trajectory.jit_record_some()(layout, 1, end + 1, problem, root, seeds).x)
-    first = _starts(layout, problem, root, seeds)
+    x = np.asarray(trajectory.jit_record_some()(layout, 1, n_ticks + 1, problem, root, seeds).x)
+    xhat0 = _starts(layout, problem, root, seeds)
     samples_by_run = [_samples(p, root_seed, int(seed)) for seed in seeds]
     times = [{tick: row for row, tick in enumerate(sorted({s.tick for s in samples}))} for samples in samples_by_run]
     ticks = np.zeros((len(seeds), max(map(len, times))), int)
@@ -82,7 +82,7 @@ def _run_batch(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Ru
         outcomes = [
             s._replace(arrives=common_times.NEVER) if np.isnan(v) else s for s, v in zip(samples, values, strict=True)
         ]
-        yield Run(int(seeds[i]), x[..., i], first[:, i], outcomes, values)
+        yield Run(int(seeds[i]), x[..., i], xhat0[:, i], outcomes, values)
 
 
 def _starts(layout: Layout, problem: GridPointParams, root: np.ndarray, seeds: NDArray[np.int64]) -> Floats:

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import no_certificate
 
 KEYS = ("scenario", "cell", "seed", "tick")
-TRUSTED = "pcbench cannot check that these estimates use only measurements that had arrived by their tick."
+NOT_CHECKED = "pcbench cannot check that these estimates use only measurements that had arrived by their tick."
 Floats = NDArray[np.float64]
 
 
@@ -55,18 +56,16 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         raise UserError(
             f"{folder}: holds no draws, expected a folder that pcbench external prepare wrote; name that one."
         )
-    with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as place:
-        out = f"{place}/estimates.parquet"
+    with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as temporary:
+        out = f"{temporary}/estimates.parquet"
         progress.note("running the external estimator, one run at a time")
         command = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]
         process = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ))
         if process.returncode:
             last = (process.stderr.strip().splitlines() or ["no message"])[-1]
-            raise UserError(
-                last
-                if process.returncode == 2
-                else f"external estimator {reference}: ended with {last}, expected estimates; correct it."
-            )
+            if process.returncode != 2:
+                last = f"external estimator {reference}: ended with {last}, expected estimates; correct it."
+            raise UserError(last)
         return score(folder, out, name, progress, say)
 
 
@@ -83,14 +82,14 @@ def score(
         claim = manifest.claim(target, grid)
         cells = [cell for cell in claim.cells if name in cell.options]
         signals = {cell.key: [s for s, _ in estimated_of(cell.scenario)] for cell in cells}
-        every = list(dict.fromkeys(s for names in signals.values() for s in names))
-        tables = sort_by_cell(read_estimates(file), where, every, cells[0].key if len(cells) == 1 else None)
+        all_signals = list(dict.fromkeys(s for names in signals.values() for s in names))
+        tables = sort_by_cell(read_estimates(file), where, all_signals, cells[0].key if len(cells) == 1 else None)
         seeds = _seeds(target, grid)
         blocks = []
         progress.begin("runs", seeds.many * len(cells))
         for cell in cells:
-            here = f"{where}: {cell.scenario.name}, cell {cell.number}"
-            xhat = estimates_of(tables.get(cell.key), here, signals[cell.key], np.arange(*seeds), cell.times.ticks)
+            place = f"{where}: {cell.scenario.name}, cell {cell.number}"
+            xhat = estimates_of(tables.get(cell.key), place, signals[cell.key], np.arange(*seeds), cell.times.ticks)
             p = runs.plan_without_observers(cell)
             blocks.append((p, _results(p, grid.study.root_seed, seeds, xhat, progress)))
         manifest.begin(target, claim)
@@ -104,7 +103,7 @@ def score(
             )
             file_name, rows = task.block(work, p, name, results, seeds)
             storage.write_table(target, file_name, rows)
-        say(f"{name}: {TRUSTED}")
+        say(f"{name}: {NOT_CHECKED}")
         return run_study.execute(grid, folder, RunOptions(progress=progress, say=say))
 
 
@@ -123,9 +122,7 @@ def extend_study(target: storage.Target, name: str) -> Grid:
     content = manifest.read_text(target, text)
     raw = {k: v for k, v in content.items() if k != "resolved"}
     custom_observers = dict(raw.get("custom_observers", {}))
-    labels = list(
-        raw.get("observers") or dict.fromkeys(o for names in content["resolved"]["observers"].values() for o in names)
-    )
+    labels = list(raw.get("observers") or dict.fromkeys(chain(*content["resolved"]["observers"].values())))
     if name in labels and custom_observers.get(name) != REFERENCE:
         raise UserError(f"--name: got '{name}', which the study has as an observer of its own; give another name.")
     raw["custom_observers"] = custom_observers | {name: REFERENCE}
@@ -142,8 +139,8 @@ def _seeds(target: storage.Target, grid: Grid) -> Seeds:
 def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Progress) -> dict[str, Floats]:
     """Return the metrics of all runs of a grid point, [s, runs], computed in parts; `xhat` [runs, N, s]."""
     parts = []
-    for first in range(0, len(xhat), runs.TOGETHER):
-        estimates = xhat[first : first + runs.TOGETHER]
+    for first in range(0, len(xhat), runs.BATCH):
+        estimates = xhat[first : first + runs.BATCH]
         numbers = np.arange(*seeds)[first : first + len(estimates)]
         parts.append(compute_metrics(p, np.stack([run.x for run in runs.runs(p, root_seed, numbers)]), estimates))
         progress.step(len(estimates))
@@ -153,8 +150,8 @@ def _results(p: Plan, root_seed: int, seeds: Seeds, xhat: Floats, progress: Prog
 def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
     """Return every metric of runs by name, [s, runs]: x [runs, N+1, n + s] and xhat [runs, N, s] at ticks 0 .. N-1."""
     n, tail, dt = p.cell.times.ticks, p.cell.times.tail, p.cell.scenario.dt
-    many = xhat.shape[-1]
-    e = x[:, :n, :many] - xhat
+    n_signals = xhat.shape[-1]
+    e = x[:, :n, :n_signals] - xhat
     if plant_errors := p.layout.plant.errors:
         problem = jax.tree.map(jnp.asarray, p.problem)
 
@@ -167,8 +164,8 @@ def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
     size = np.abs(e)
     with np.errstate(invalid="ignore", over="ignore"):
         windows = [slice(a, b) for a, b in np.asarray(p.problem.windows)]
-        each = [(size[w].sum(0), (e[w] * e[w]).sum(0), size[w].max(0, initial=0.0)) for w in windows]
-        sums: Any = ErrorSums._make(np.stack(part) for part in zip(*each, strict=True))
+        window_sums = [(size[w].sum(0), (e[w] * e[w]).sum(0), size[w].max(0, initial=0.0)) for w in windows]
+        sums: Any = ErrorSums._make(np.stack(part) for part in zip(*window_sums, strict=True))
         settling: Any = _settling(size, p)
     digits.require_of(p, x[:, n - 1].T, sums.absolute[1:].sum(0) / (n - tail))
     falls = bool((p.problem.jumps < n).any())
@@ -177,12 +174,12 @@ def compute_metrics(p: Plan, x: Floats, xhat: Floats) -> dict[str, Floats]:
 
 def _settling(size: Floats, p: Plan) -> SettlingState:
     after: Any
-    many, ticks = size.shape[1], np.arange(len(size))[:, None, None]
-    band, bound = (np.asarray(a)[:many, None] for a in (p.problem.band, p.problem.bound))
+    n_signals, ticks = size.shape[1], np.arange(len(size))[:, None, None]
+    band, bound = (np.asarray(a)[:n_signals, None] for a in (p.problem.band, p.problem.bound))
     outside = size > band  # [N, s, runs]
-    bad: Any = np.logical_not((size <= bound).all(1))  # [N, runs]
+    is_diverged: Any = np.logical_not((size <= bound).all(1))  # [N, runs]
     unsettled = np.where(outside, ticks + 1, 0).max(0)
-    first = np.where(bad.any(0), bad.argmax(0), -1)
+    first = np.where(is_diverged.any(0), is_diverged.argmax(0), -1)
     jumps = np.asarray(p.problem.jumps)
     recovery = np.zeros(size.shape[1:])
     if len(jumps):
@@ -219,11 +216,9 @@ def sort_by_cell(
         table["cell"] = table.get("cell", only[1])
     for name in KEYS:
         if name not in table:
-            raise (
-                unknown(where, "column of it", name, table.columns.astype(str))
-                if len(table.columns)
-                else UserError(f"{where}: got no columns, expected {', '.join(KEYS)} and the signals; write them.")
-            )
+            if not len(table.columns):
+                raise UserError(f"{where}: got no columns, expected {', '.join(KEYS)} and the signals; write them.")
+            raise unknown(where, "column of it", name, table.columns.astype(str))
     if not set(signals) & set(table.columns):
         raise UserError(
             f"{where}: got the columns {short(', '.join(map(str, table.columns)))}, expected one for each signal, "
@@ -248,8 +243,8 @@ def estimates_of(
     rows = rows[rows.tick < ticks]
     names = [s for s in signals if s in rows]
     if names != signals[: len(names)]:
-        lack = next(s for s in signals if s not in names)
-        raise UserError(f"{where}: got no column '{lack}', expected every state; write it.")
+        absent = next(s for s in signals if s not in names)
+        raise UserError(f"{where}: got no column '{absent}', expected every state; write it.")
     counts = rows.groupby("seed").tick.agg(["size", "nunique", "min", "max"]).reindex(seeds)
     missing = counts.index[counts["size"].isna()]
     if len(missing):

@@ -37,7 +37,7 @@ def swing(**changes):
 
 
 def alone(entry):
-    return plant.alone("swing", entry, {"user_code": {"plant": UserPlugin(entry, Code("", "swing", (), ""))}})
+    return plant.plant_scenario("swing", entry, {"user_code": {"plant": UserPlugin(entry, Code("", "swing", (), ""))}})
 
 
 def asked(check, entry):

@@ -10,7 +10,7 @@ import own_observer as own
 import pytest
 
 from pcbench.checking import jaxpr_checks
-from pcbench.checking.observer import CHECKS, findings, none, replay
+from pcbench.checking.observer import CHECKS, findings, no_shift, record
 from pcbench.checking.observer_fixtures import Candidate, trial
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, ObserverSpec
@@ -227,12 +227,12 @@ def test_a_shifted_packet_is_another_measurement():
     entry = OBSERVERS["pccebo"]
     t = trial(Candidate("pccebo", entry, entry.options()), SCENARIOS["cart/white"])
     p, number, step = next(case for case in t.cases if case.name == "one period late").problem, 2, 0.25
-    nothing = none(p)
-    plain = replay(t, p, nothing).estimates["pccebo"]
+    nothing = no_shift(p)
+    plain = record(t, p, nothing).estimates["pccebo"]
     arrives = int(np.flatnonzero((p.schedule.arrive == number).any(1))[0])
     for field in ("values", "notes"):
         shift = nothing._replace(**{field: getattr(nothing, field).at[number].set(step)})
-        moved = np.abs(replay(t, p, shift).estimates["pccebo"] - plain).max(1)
+        moved = np.abs(record(t, p, shift).estimates["pccebo"] - plain).max(1)
         assert np.flatnonzero(moved)[0] == arrives, field
 
 
