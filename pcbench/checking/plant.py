@@ -243,7 +243,8 @@ def _compare(
             raise UserError(
                 f"slopes: got {expected[i, j] / size[j]:.6g} from {source} and {difference[i, j] / size[j]:.6g} from "
                 f"differences for the slope of {result_names(t, function)[i]} in {function} by {names[j]}, at "
-                f"{point_text(t, g)}, expected the same; smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
+                f"{point_text(t, g)}, expected the same; smooth the kink there, or leave out what hides a slope "
+                "(stop_gradient, NumPy, rounding)."
             )
 
 

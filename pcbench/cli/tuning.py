@@ -198,7 +198,7 @@ def tune(
         summary: TomlTable = {"start": tuning.start, "best": tuning.best, "kept_start": tuning.kept_start}
         goal = {"metric": tuning.objective.metric, "signal": tuning.objective.name, "unit": tuning.objective.unit}
         summary |= {"goal": goal, "certified": tuning.certified, "exact": tuning.exact}
-        summary |= {"judgements": [history.plain(j) for j in tuning.judgements]}
+        summary |= {"judgements": [history.as_record(j) for j in tuning.judgements]}
         print(json.dumps(summary | {"points": len(tuning.points), "method": tuning.method}, indent=2))
     elif not quiet:
         gains.print_tuning(tuning, observer, folder, console())

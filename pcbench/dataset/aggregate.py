@@ -106,7 +106,7 @@ def resolvable_bound(bound: list[float] | None, prior: tuple[float, ...]) -> sta
     """Return the bound; NaN if it is negligible relative to the prior."""
     if bound is None:
         return None
-    return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
+    return np.array([b if b >= statistics.ZERO_BOUND * p else np.nan for b, p in zip(bound, prior, strict=False)])
 
 
 def chunks(c: CellBlocks, within: Seeds | None = None) -> Iterator[Chunk]:

@@ -10,7 +10,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from pcbench.fields import FIELDS, names
-from pcbench.statistics import ASKED, QUANTILES, RUN_METRICS
+from pcbench.statistics import OPTIONAL, QUANTILES, RUN_METRICS
 
 if TYPE_CHECKING:
     from pcbench.study.grid import Cell
@@ -138,7 +138,7 @@ def keys(study: str, cell: "Cell") -> dict[str, object]:
 
 def metrics_shown(results: Container[str]) -> list[str]:
     """Return the metrics with a column in a table of runs; those of loops and of covariances only if they exist."""
-    return [m for m in RUN_METRICS if m in results or m not in ASKED]
+    return [m for m in RUN_METRICS if m in results or m not in OPTIONAL]
 
 
 def words(vocabulary: Sequence[str], codes: ArrayLike) -> pa.Array:

@@ -43,17 +43,14 @@ def design(
     label = label_of(observer)
     if gain is not None:
         entry = cell.entry(label)
-        if not (option_name := _way_of(entry)):
+        if not (option_name := _method_option(entry)):
             raise UserError(f"--gain: got '{gain}', but {label} has one design method; leave it out.")
         valid = get_args(entry.options.model_fields[option_name].annotation)
         if gain not in valid:
             raise unknown("--gain", f"design method of {label}", gain, valid)
         study, cell = one_cell(replace_options(study, label, {option_name: gain}), [label], [])
-    return (
-        study,
-        cell,
-        run_design(label, cell.entry(label), context_of(with_computing_time(cell, label)), cell.options[label]),
-    )
+    context = context_of(with_computing_time(cell, label))
+    return study, cell, run_design(label, cell.entry(label), context, cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTable:
@@ -66,7 +63,7 @@ def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTab
     entry, options, c = cell.entry(observer), cell.options[observer], design.certificate
     values = options.model_dump(exclude_none=True)
     if numbers := _as_options(entry.options, options, design):
-        with_numbers = {k: v for k, v in values.items() if k != _way_of(entry)} | numbers
+        with_numbers = {k: v for k, v in values.items() if k != _method_option(entry)} | numbers
         values = _recertify(study, cell, observer, with_numbers) or values
     proof: TomlTable = {"inequality": c.inequality, "margin": c.margin, "solver": c.solver, "status": c.status}
     proof |= {"fallback": c.fallback, "decay_rate": c.rate, "certified": is_certified(c._asdict())}
@@ -145,7 +142,7 @@ def replace_options(study: Study, observer: str, options: TomlTable) -> Study:
     return study.model_copy(update={"options": study.options | {observer: current | options}})
 
 
-def _way_of(entry: ObserverSpec) -> str | None:
+def _method_option(entry: ObserverSpec) -> str | None:
     """Return the option that selects an observer's design method, or None."""
     return next((name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)), None)
 

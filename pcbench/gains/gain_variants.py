@@ -26,7 +26,7 @@ from pcbench.dataset.manifest import KNOWN_FILES, TEXT
 from pcbench.dataset.seed_ranges import Seeds, common, seed_range
 from pcbench.errors import UserError
 from pcbench.gains import objective_eval, parameters, tune, validation
-from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
+from pcbench.gains.history import HISTORY, TUNED, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, TunedCell, TunedOptions, merge_options, observers_of, scenarios_of
@@ -73,7 +73,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         design_options = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
-        return ExplicitStudy(_with(study, {o: values for o, values in design_options.items() if values}), [])
+        return ExplicitStudy(_with_options(study, {o: values for o, values in design_options.items() if values}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
@@ -88,13 +88,13 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     published_options = {o: merge_options(study, scenario, o) for o in observers_of(study, scenario.name)}
     validation.require_tunable(study, list(published_options))
     validation.require_free_labels(study, scenario, list(published_options))
-    tunes, points, gains = "tuned" in study.tunings, [TomlTable()], []
-    if tunes:  # the values of the axes in every cell in which gains are tuned
+    has_tuning, points, gains = "tuned" in study.tunings, [TomlTable()], []
+    if has_tuning:  # the values of the axes in every cell in which gains are tuned
         all_points = grid_points(study.vary, list(study.axes.values()))
         all_points = itertools.islice(all_points, 1) if study.tune.cells == "first" else all_points
         points = [dict(zip(study.axes, point, strict=True)) for point in all_points]
     for i, point in enumerate(points):
-        point_study = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if tunes else study
+        point_study = study.model_copy(update={"axes": {k: [v] for k, v in point.items()}}) if has_tuning else study
         folder = None if out is None else f"{out}/tuning"
         if len(points) > 1:
             folder = folder and f"{folder}/{cells(point_study, scenario.name)[0].digest}"
@@ -107,7 +107,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
     order = list(published_options)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     record = None
-    if tunes:
+    if has_tuning:
         tuned = [v.label for v in versions if v.tuning == "tuned"]
         by_cell = [
             TunedCell(cell=point, options={label: cell_gains.options[label] for label in tuned})
@@ -122,7 +122,7 @@ def prepare(grid: Grid, out: str | Path | None, overwrite: bool, progress: Progr
             cells=by_cell if len(points) > 1 else None,
         )
     options = {v.label: gains[0].options[v.label] for v in versions}
-    return ExplicitStudy(_with(study, options, list(options), record), versions, aim)
+    return ExplicitStudy(_with_options(study, options, list(options), record), versions, aim)
 
 
 class _Gains(NamedTuple):
@@ -147,17 +147,14 @@ def _gains_in(
 ) -> _Gains:
     """Return the gains of all versions in a study of one cell; tunings are stored in `folder`."""
     gains = _Gains([], {}, {})
-    for observer, paper in published_options.items():
-        option_sources: dict[str, Mapping[str, Any] | None] = {
-            "published": {},
-            "design": entry_in(study, observer).designed,
-        }
-        for tuning, extra in option_sources.items():
-            if extra is not None:
+    for observer, printed_options in published_options.items():
+        sources: dict[str, Mapping[str, Any] | None] = {"published": {}, "design": entry_in(study, observer).designed}
+        for tuning, source_options in sources.items():
+            if source_options is not None:
                 gains.versions.append(Version(f"{observer}-{tuning}", observer, tuning))
-                gains.options[f"{observer}-{tuning}"] = paper | dict(extra)
+                gains.options[f"{observer}-{tuning}"] = printed_options | dict(source_options)
     if "tuned" in study.tunings:
-        for observer, start in _better(study, gains.versions, gains.options, aim, progress).items():
+        for observer, start in _better_starts(study, gains.versions, gains.options, aim, progress).items():
             note, tuned_options = _tune_observer(study, observer, start, folder, progress)
             label = f"{observer}-tuned"
             gains.versions.append(Version(label, observer, "tuned", note))
@@ -178,13 +175,13 @@ def _versions_in(points: list[TomlTable], gains: list[_Gains]) -> list[Version]:
             if not label_notes:
                 cell_gains.options[label] = cell_gains.options[f"{version.observer}-published"]
             notes.append(label_notes[0] if label_notes else "nothing to tune, so gains as printed")
-        at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
-        text = "; ".join(f"at {place}: {note}" for place, note in zip(at, notes, strict=True) if note)
+        places = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
+        text = "; ".join(f"at {place}: {note}" for place, note in zip(places, notes, strict=True) if note)
         out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else text))
     return out
 
 
-def _with(
+def _with_options(
     study: Study, options: Options, observers: list[str] | None = None, record: TunedOptions | None = None
 ) -> Grid:
     changes = {"options": study.options | options, "tuning": "published", "observers": observers}
@@ -230,18 +227,21 @@ def _require_study_folder(study: Study, out: str | Path | None, overwrite: bool)
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --overwrite."
         )
-    tunings = re.compile(rf"{KNOWN_FILES[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
+    tunings = re.compile(rf"{KNOWN_FILES[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(TUNED)})")
     for name in [name for name in names if overwrite and tunings.fullmatch(name)]:
         storage.remove(target, name)
 
 
-def _better(study: Study, versions: list[Version], options: Options, aim: Objective, progress: Progress) -> Options:
+def _better_starts(
+    study: Study, versions: list[Version], options: Options, aim: Objective, progress: Progress
+) -> Options:
     """Return the start of each observer with free parameters: the options of its better version on the training runs."""
     free = {v.label: v for v in versions if _is_free(study, v, options[v.label])}
     if not free:
         return {}
     progress.note("comparing starts")
-    stats = run_study.execute(_with(training_study(study), {label: options[label] for label in free}, list(free))).stats
+    starts = _with_options(training_study(study), {label: options[label] for label in free}, list(free))
+    stats = run_study.execute(starts).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
     for label, v in free.items():

@@ -27,7 +27,7 @@ from pcbench.study.grid import Cell
 from pcbench.study.serialize import resolve_study
 from pcbench.toml_text import TomlTable
 
-HISTORY, FOUND = "history.parquet", "tuned.toml"
+HISTORY, TUNED = "history.parquet", "tuned.toml"
 REFIT = "history-whole.parquet"  # of a second descent, on all data
 ABOUT = b"pcbench.tuning"  # metadata key of the description of the tuning
 BASIS = b"pcbench.study"  # metadata key of its study, to report changes
@@ -115,7 +115,7 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
     """Return the points of an earlier run; raise AnotherTuning if they are those of another tuning."""
     content = storage.read_buffer(target, file)
     if content is None:
-        if other_files := [name for name in storage.file_names(target) if name not in (HISTORY, FOUND)]:
+        if other_files := [name for name in storage.file_names(target) if name not in (HISTORY, TUNED)]:
             raise UserError(
                 f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one "
                 "with --out."
@@ -149,10 +149,10 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
 def finish(target: storage.Target, about: str, tuned: Any) -> None:
     """Write the result: a study that can be run, with the record of the tuning under [resolved.tuning]."""
     record: TomlTable = {"about": about, "start": tuned.start, "best": tuned.best, "kept_start": tuned.kept_start}
-    record |= {"method": tuned.method, "judgements": [plain(j) for j in tuned.judgements]}
+    record |= {"method": tuned.method, "judgements": [as_record(j) for j in tuned.judgements]}
     record |= {"exact": True} if tuned.exact else {}
     record |= {} if tuned.certified is None else {"certified": tuned.certified}
-    storage.write_file(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
+    storage.write_file(target, TUNED, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
 
 
 def load_finished(target: storage.Target, task: str, about: str, basis: TomlTable) -> TomlTable | None:
@@ -161,7 +161,7 @@ def load_finished(target: storage.Target, task: str, about: str, basis: TomlTabl
     `task` describes the finished tuning, `about` and `basis` its history.
     """
     try:
-        study = toml_text.parse(storage.read_bytes(target, FOUND) or b"")
+        study = toml_text.parse(storage.read_bytes(target, TUNED) or b"")
         record = study.pop("resolved")["tuning"]
         if record.pop("about") != task:
             return None
@@ -185,13 +185,13 @@ def copy_from_cache(target: storage.Target, task: str, about: str, basis: TomlTa
     with suppress(UserError):
         if not storage.file_names(target) and load_finished(source, task, about, basis):
             storage.create_folder(target)
-            for name in (HISTORY, FOUND):  # in this order, because a result without its history is invalid
+            for name in (HISTORY, TUNED):  # in this order, because a result without its history is invalid
                 storage.write_file(target, name, (place / name).read_bytes())
 
 
 def keep_result(target: storage.Target, task: str, basis: TomlTable) -> None:
     """Store a finished tuning in the cache for `copy_from_cache`."""
-    for name in (HISTORY, FOUND):
+    for name in (HISTORY, TUNED):
         cache.keep(_cache_folder(task, basis) / name, storage.read_buffer(target, name) or b"")
 
 
@@ -211,7 +211,7 @@ def _versions() -> str:
     )
 
 
-def plain(judgement: Judgement) -> TomlTable:
+def as_record(judgement: Judgement) -> TomlTable:
     """Return a judgement as it is written, with the first seed and the number of seeds."""
     record = judgement._asdict()
     seeds = record.pop("seeds")

@@ -34,11 +34,11 @@ class Objective(NamedTuple):
         """Return whether the objective has a gradient."""
         return self.base.removeprefix("steady_") in reverse_mode.SMOOTH
 
-    def of(self, mean: float) -> float:
+    def from_mean(self, mean: float) -> float:
         """Return the objective from the mean of its base over runs."""
         return float(np.sqrt(mean)) if self.metric in POOLED else mean
 
-    def mean(self, value: float) -> float:
+    def to_mean(self, value: float) -> float:
         """Return the mean of the base from the objective."""
         return value**2 if self.metric in POOLED else value
 
@@ -46,9 +46,9 @@ class Objective(NamedTuple):
         """Return the derivative of the objective with respect to the mean of its base."""
         return 0.5 / float(np.sqrt(mean)) if self.metric in POOLED and mean > 0 else 1.0
 
-    def over(self, runs: NDArray[np.float64], diverged: NDArray[np.bool_]) -> float:
+    def from_runs(self, runs: NDArray[np.float64], diverged: NDArray[np.bool_]) -> float:
         """Return the objective from values [n] of its base over runs; infinite if a run diverged."""
-        return float("inf") if diverged.any() else self.of(float(np.mean(runs)))
+        return float("inf") if diverged.any() else self.from_mean(float(np.mean(runs)))
 
 
 def objective_of(objective: str, scenario: Scenario, signal: str | None, where: str) -> Objective:

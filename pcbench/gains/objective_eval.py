@@ -57,13 +57,13 @@ def method_for(optimizer: str | None, aim: Objective, p: Plan, exact: bool, wher
     """
     if optimizer not in (None, *METHODS):
         raise UserError(f"{where}: --optimizer: got '{optimizer}', expected {' or '.join(METHODS)}; leave it out.")
-    against = {
+    obstacles = {
         f"{aim.metric} has no gradient": not aim.smooth,
         "its steps cannot be differentiated": not p.cell.entry(p.labels[0]).smooth,
         "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
         "a closed loop is not differentiated": p.layout.controller is not None,
     }
-    reasons = [] if exact else [reason for reason, holds in against.items() if holds]
+    reasons = [] if exact else [reason for reason, holds in obstacles.items() if holds]
     if optimizer == "descent" and reasons:
         raise UserError(f"{where}: --optimizer: got descent, but {reasons[0]}; expected search; leave it out.")
     return optimizer or ("search" if reasons else "descent")
@@ -74,20 +74,19 @@ def evaluator(
 ) -> Evaluate:
     """Return a function that evaluates a point; it returns infinity if the gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers
-    back = optimizers.backwards(p, aim, root_seed, seeds)
+    gradient = optimizers.value_and_gradient(p, aim, root_seed, seeds)
 
     def with_slope(at: Vector) -> tuple[float, Vector]:
-        mean, slopes, has_diverged = back(design(at))
+        mean, slopes, has_diverged = gradient(design(at))
         if has_diverged:
             return float("inf"), np.full(len(at), np.nan)
-        return aim.of(mean), aim.slope(mean) * optimizers.chain(slopes, design, at)
+        return aim.from_mean(mean), aim.slope(mean) * optimizers.chain(slopes, design, at)
 
     def value_only(at: Vector) -> tuple[float, Vector]:
         trial = p._replace(problem=p.problem._replace(gains={label: design(at)}))
-        (metrics,) = run_local.results(
-            trial, runner.run(p.layout, list(run_local.jobs(trial, root_seed, seeds)))
-        ).values()
-        return aim.over(metrics[aim.base][aim.signal], metrics["diverged"]), np.zeros(0)
+        finished = runner.run(p.layout, list(run_local.jobs(trial, root_seed, seeds)))
+        (metrics,) = run_local.results(trial, finished).values()
+        return aim.from_runs(metrics[aim.base][aim.signal], metrics["diverged"]), np.zeros(0)
 
     def at(point: Vector) -> tuple[float, Vector]:
         try:
@@ -153,12 +152,12 @@ def exact_evaluator(
         points.append(point)
         mean = float(getattr(moments.cell.sums, kind)[part, aim.signal, 0]) / tick_count
         slope = getattr(moments.slopes, kind)[part, aim.signal] / tick_count
-        return aim.of(mean), aim.slope(mean) * slope
+        return aim.from_mean(mean), aim.slope(mean) * slope
 
     return at
 
 
 def exact_judgement(aim: Objective, start: float, tuned: float) -> Judgement:
     """Return the expected values of start and tuned as a judgement, without seeds and errors."""
-    a, b = aim.mean(start), aim.mean(tuned)
+    a, b = aim.to_mean(start), aim.to_mean(tuned)
     return Judgement("exact", seed_range(0, 0), a, 0.0, b, 0.0, difference=b - a, difference_se=0.0, diverged=(0, 0))

@@ -78,7 +78,7 @@ def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None
 LANES = 128  # runs per call; one call per core at a time
 STEP = 1e-5  # of a free parameter
 # mean of an objective's base over runs, its derivative with respect to each array of gains, whether a run diverges
-Slope = tuple[float, list[Vector], bool]
+ValueAndGradient = tuple[float, list[Vector], bool]
 
 
 def numbers(gains: Gains) -> list[Leaf]:
@@ -86,7 +86,9 @@ def numbers(gains: Gains) -> list[Leaf]:
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Gains], Slope]:
+def value_and_gradient(
+    p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64]
+) -> Callable[[Gains], ValueAndGradient]:
     """Return a function of the gains of a planned cell's one observer: the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
@@ -96,36 +98,36 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     def mean(
         reals: list[Array], constants: list[Leaf], problem: GridPointParams, seeds: Array, weights: Array
     ) -> tuple[Array, Array]:
-        left, right = iter(reals), iter(constants)
-        leaves = [next(left if real else right) for real in is_real]
+        real_leaves, constant_leaves = iter(reals), iter(constants)
+        leaves = [next(real_leaves if real else constant_leaves) for real in is_real]
         problem = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
         metrics = reverse_mode.metrics(layout, problem, n, tail, jnp.asarray(root_seed), seeds)
         peaks = metrics[label]["max_abs_error"]
         has_diverged = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
-        return jnp.sum(metrics[label][goal.base][goal.signal] * weights), has_diverged
+        return jnp.sum(metrics[label][aim.base][aim.signal] * weights), has_diverged
 
     is_real = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
-    bare = p.problem._replace(gains={})
+    base = p.problem._replace(gains={})
     calls = [
         _pad_seeds(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)
     ]
     options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
     programs: list[Callable[..., PyTree]] = []
 
-    def at(gains: Gains) -> Slope:
+    def at(gains: Gains) -> ValueAndGradient:
         reals = numbers(gains)
         constants = [a for a, real in zip(jax.tree.leaves(gains), is_real, strict=True) if not real]
         if not programs:
             shapes = jax.tree.map(
-                lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), (reals, constants, bare, *calls[0])
+                lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), (reals, constants, base, *calls[0])
             )
-            about = layout, n, tail, root_seed, label, is_real, goal.base, goal.signal, jax.tree.map(np.shape, gains)
+            key = layout, n, tail, root_seed, label, is_real, aim.base, aim.signal, jax.tree.map(np.shape, gains)
             function = jax.value_and_grad(mean, has_aux=True)
-            programs.append(program_store.compile_program(function, about, shapes, options))
+            programs.append(program_store.compile_program(function, key, shapes, options))
         with thread_pools.pool(len(runner.devices())) as threads:
-            parts = list(threads.map(lambda c: runner.in_float64(_run, programs[0], reals, constants, bare, *c), calls))
+            parts = list(threads.map(lambda c: runner.in_float64(_run, programs[0], reals, constants, base, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
-        return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
+        return sum(value for value, _, _ in parts), slopes, any(flag for _, _, flag in parts)
 
     return at
 
@@ -133,7 +135,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
 def chain(slopes: list[Vector], design: Callable[[Vector], Gains], at: Vector) -> Vector:
     """Return the derivatives with respect to the free parameters, from those with respect to the gains."""
     by_parameter = directions(design, at)
-    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in by_parameter])
+    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, each, strict=True)) for each in by_parameter])
 
 
 def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vector]]:
@@ -157,11 +159,11 @@ def _try_design(design: Callable[[Vector], Gains], at: Vector) -> list[Leaf] | N
         return None
 
 
-def _pad_seeds(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np.int64], Vector]:
-    weights = np.where(np.arange(width) < len(seeds), 1 / many, 0.0)
+def _pad_seeds(seeds: NDArray[np.int64], width: int, total: int) -> tuple[NDArray[np.int64], Vector]:
+    weights = np.where(np.arange(width) < len(seeds), 1 / total, 0.0)
     return np.resize(seeds, width), weights
 
 
-def _run(call: Callable[..., PyTree], *arguments: PyTree) -> Slope:
+def _run(call: Callable[..., PyTree], *arguments: PyTree) -> ValueAndGradient:
     (value, has_diverged), slopes = call(*arguments)
     return float(value), [np.asarray(s) for s in slopes], bool(has_diverged)

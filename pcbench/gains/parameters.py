@@ -154,9 +154,7 @@ def _to_bounded(z: Vector, f: Free) -> Vector:
         return np.asarray(np.exp(np.clip(z, np.log(MIN_POSITIVE), -np.log(MIN_POSITIVE))))
     if f.kind == "between":
         return np.asarray(f.low + f.scale / (1 + np.exp(-z)))
-    if (
-        f.kind == "covariance"
-    ):  # L L'; logarithms of L's diagonal, and below it entries relative to their row's diagonal
+    if f.kind == "covariance":  # L L': logarithms of L's diagonal; below it, entries relative to their row's diagonal
         i, j = np.tril_indices(f.shape[0])
         L = np.zeros(f.shape)
         L[i, j] = np.where(i == j, 1.0, z)

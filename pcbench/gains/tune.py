@@ -128,10 +128,8 @@ def tune(
         descend(optimizer_name, trials, start, evaluate, budget, where, progress)
         tuned_options = parameters.to_options(free, np.array(trials.best.parameters))
         if exact_objective:
-            judgements, kept_start = (
-                [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)],
-                "",
-            )
+            judgements = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)]
+            kept_start = ""
         else:
             progress.note("validation on other seeds")
             judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})

@@ -105,9 +105,8 @@ def find_limit(
         say(sentence)
     if len(axes) == 2:
         arguments = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "max_seeds": max_seeds}
-        return _frontier(
-            raw, where, axes, between, out, arguments | {"overwrite": overwrite, "progress": progress, "say": say}
-        )
+        arguments |= {"overwrite": overwrite, "progress": progress, "say": say}
+        return _frontier(raw, where, axes, between, out, arguments)
     ends = _range(between)
     with config.float64(), ExitStack() as stack:
         q = question(build_study(raw, where, FROM_HERE), where, axes[0], metric, signal, threshold)
@@ -156,9 +155,9 @@ def _frontier(
     values = sorted(set(axis.values)) if is_listed else scale_of(axis, s, first, None).start()
     tables = {}
     for value in values:
-        at = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.to_study(value)]}}
-        into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.label}={value:g}')}"
-        tables[value] = find_limit(at, axis=axes[1], between=second, out=into, **options)
+        value_study = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.to_study(value)]}}
+        folder = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.label}={value:g}')}"
+        tables[value] = find_limit(value_study, axis=axes[1], between=second, out=folder, **options)
     frontier = pd.concat([table.assign(**{axis.label: value}) for value, table in tables.items()], ignore_index=True)
     frontier.insert(0, axis.label, frontier.pop(axis.label))
     last = tables[values[-1]].attrs
@@ -178,7 +177,7 @@ def _range(between: object) -> tuple[float, float] | None:
     return ends[0], ends[1]
 
 
-def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: Progress) -> Question:
+def _with_gains(q: Question, value: float, folder: str, overwrite: bool, progress: Progress) -> Question:
     """Return the question with the study's gains designed or tuned, if requested, at the first value."""
     if q.study.tunings == ["published"]:
         return q
@@ -187,7 +186,7 @@ def _with_gains(q: Question, at: float, folder: str, overwrite: bool, progress: 
             f"{q.study.name}: tune.cells: got 'all', expected 'first': the search decides as it goes which values are tried, "
             "and all have the gains of the first; leave it out."
         )
-    first = q.over([at])
+    first = q.with_values([value])
     variants = gain_variants.prepare(Grid(first, grid.cells(first, q.scenario.name)), folder, overwrite, progress)
     return q._replace(study=variants.study)
 
@@ -208,33 +207,38 @@ def stored_values(folder: str | Path, q: Question) -> list[float]:
     return [q.axis.number(value) for value in manifest.load_manifest(target).study.axes.get(q.axis.name, [])]
 
 
-def look_of(q: Question, folder: str | Path, how: RunOptions) -> Look:
+def look_of(q: Question, folder: str | Path, options: RunOptions) -> Look:
     """Return a function that runs a study at values of the axis, and returns the results."""
-    why, calls = Refusals({}, {}, {}), list[bool]()
+    refusals, calls = Refusals({}, {}, {}), list[bool]()
 
     def look(values: list[float], seeds: Mapping[float, int]) -> dict[str, list[Point]]:
-        result = _run(q, values, seeds, why, folder, how._replace(overwrite=how.overwrite and not calls))
+        result = _run(q, values, seeds, refusals, folder, options._replace(overwrite=options.overwrite and not calls))
         calls.append(True)
-        return points(q, values, why, result)
+        return points(q, values, refusals, result)
 
     return look
 
 
 def _run(
-    q: Question, values: list[float], seeds: Mapping[float, int], why: Refusals, folder: str | Path, how: RunOptions
+    q: Question,
+    values: list[float],
+    seeds: Mapping[float, int],
+    refusals: Refusals,
+    folder: str | Path,
+    options: RunOptions,
 ) -> Result:
     """Run all supported combinations; if a design fails, leave out the observers without gains and try again."""
     while True:
-        grid = _grid(q, values, why)
+        grid = _grid(q, values, refusals)
         cells = _by_value(q, grid.cells)
         new_seeds = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
         try:
-            return run_study.execute(grid, folder, how._replace(min_seeds=new_seeds))
+            return run_study.execute(grid, folder, options._replace(min_seeds=new_seeds))
         except DesignError:
             failures = {(o, v): _without_gains(cell, o) for v, cell in cells.items() for o in cell.options}
             if not any(failures.values()):
                 raise
-            why.gains.update({key: sentence for key, sentence in failures.items() if sentence})
+            refusals.gains.update({key: sentence for key, sentence in failures.items() if sentence})
 
 
 def _without_gains(cell: Cell, observer: str) -> str:
@@ -246,40 +250,39 @@ def _without_gains(cell: Cell, observer: str) -> str:
     return ""
 
 
-def _grid(q: Question, values: list[float], why: Refusals) -> Grid:
+def _grid(q: Question, values: list[float], refusals: Refusals) -> Grid:
     """Return the study over all valid values, each grid point with its supported observers; raise UserError if none is left."""
-    name, possible = q.scenario.name, list[float]()
+    name, valid = q.scenario.name, list[float]()
     for value in values:
-        if value in why.values:
+        if value in refusals.values:
             continue
         try:
-            (cell,) = grid.cells(q.over([value]), name)
+            (cell,) = grid.cells(q.with_values([value]), name)
         except UserError as error:
-            why.values[value] = str(error)
+            refusals.values[value] = str(error)
             continue
-        possible.append(value)
+        valid.append(value)
         for o in cell.options:
             try:
                 fits.works_on(o, cell.entry(o), cell.scenario, q.study.name)
             except UserError as error:
-                why.observers.setdefault(o, str(error))
-    able = [o for o in observers_of(q.study, name) if o not in why.observers]
-    by_value = {v: labels for v in possible if (labels := [o for o in able if (o, v) not in why.gains])}
+                refusals.observers.setdefault(o, str(error))
+    supported = [o for o in observers_of(q.study, name) if o not in refusals.observers]
+    by_value = {v: labels for v in valid if (labels := [o for o in supported if (o, v) not in refusals.gains])}
     if not by_value:
-        raise UserError(next(iter([*why.observers.values(), *why.values.values(), *why.gains.values()])))
-    run = [o for o in able if any(o in labels for labels in by_value.values())]
-    study = q.over(list(by_value)).model_copy(update={"observers": run})
+        raise UserError(next(iter([*refusals.observers.values(), *refusals.values.values(), *refusals.gains.values()])))
+    observers = [o for o in supported if any(o in labels for labels in by_value.values())]
+    study = q.with_values(list(by_value)).model_copy(update={"observers": observers})
     cells = _by_value(q, grid.cells(study, name))
-    return Grid(
-        study, [c._replace(options={o: c.options[o] for o in c.options if o in by_value[v]}) for v, c in cells.items()]
-    )
+    options = {v: {o: c.options[o] for o in c.options if o in by_value[v]} for v, c in cells.items()}
+    return Grid(study, [c._replace(options=options[v]) for v, c in cells.items()])
 
 
 def _by_value(q: Question, cells: list[Cell]) -> dict[float, Cell]:
     return {q.axis.number(cell.values[q.axis.name]): cell for cell in cells}
 
 
-def points(q: Question, values: list[float], why: Refusals, result: Result) -> dict[str, list[Point]]:
+def points(q: Question, values: list[float], refusals: Refusals, result: Result) -> dict[str, list[Point]]:
     """Return the results at every value by observer, or the reason for a missing one."""
     stats, axis = result.stats, q.axis
     rows: pd.DataFrame = stats[(stats.metric == q.metric) & (stats.signal == q.signal)].copy()
@@ -289,11 +292,12 @@ def points(q: Question, values: list[float], why: Refusals, result: Result) -> d
             "take another."
         )
     rows[axis.label] = [axis.number(value) for value in rows[axis.name]]
-    able = [o for o in observers_of(q.study, q.scenario.name) if o not in why.observers]
-    missing = [(o, Point(v, REFUSED, why=sentence)) for o, sentence in why.observers.items() for v in values]
-    missing += [(o, Point(v, REFUSED, why=sentence)) for v, sentence in why.values.items() for o in able]
-    missing += [(o, Point(v, REFUSED, why=sentence)) for (o, v), sentence in why.gains.items() if v not in why.values]
+    supported = [o for o in observers_of(q.study, q.scenario.name) if o not in refusals.observers]
+    missing = [(o, Point(v, REFUSED, why=sentence)) for o, sentence in refusals.observers.items() for v in values]
+    missing += [(o, Point(v, REFUSED, why=sentence)) for v, sentence in refusals.values.items() for o in supported]
+    refused_gains = {key: sentence for key, sentence in refusals.gains.items() if key[1] not in refusals.values}
+    missing += [(o, Point(v, REFUSED, why=sentence)) for (o, v), sentence in refused_gains.items()]
     pairs = {*zip(rows.observer, rows[axis.label], strict=True), *((o, p.value) for o, p in missing)}
     # the observer does not estimate this signal
-    missing += [(o, Point(v, NULL)) for o in able for v in values if (o, v) not in pairs]
+    missing += [(o, Point(v, NULL)) for o in supported for v in values if (o, v) not in pairs]
     return limit_verdicts.points(rows, axis.label, q.threshold, missing)

@@ -30,7 +30,7 @@ from pcbench.study import Study, axes, scenarios_of
 from pcbench.study.times import chain
 
 FAR = 2.0  # ratio from which the middle of two values is geometric
-PART = 0.05  # default precision relative to the value
+PRECISION = 0.05  # default precision relative to the value
 FLOOR = 0.01  # finest precision relative to the range, if the range begins at 0 or below
 DIGITS = 15
 
@@ -41,7 +41,7 @@ class Scale(NamedTuple):
     low: float
     high: float
     tick: float = 0.0  # s; 0: not a time
-    tol: float | None = None  # requested precision; None: PART of the value
+    tol: float | None = None  # requested precision; None: PRECISION of the value
     also: tuple[float, ...] = ()  # further initial values
 
     def start(self) -> list[float]:
@@ -55,7 +55,7 @@ class Scale(NamedTuple):
     def is_near(self, a: float, b: float) -> bool:
         """Return whether two values, a < b, are within the requested precision."""
         floor = self.tick or (FLOOR * (self.high - self.low) if self.low <= 0 else 0.0)
-        tol = max(PART * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
+        tol = max(PRECISION * max(abs(a), abs(b)), floor) if self.tol is None else self.tol
         return b - a <= tol * (1 + 1e-9) or self.between(a, b) is None
 
     def between(self, a: float, b: float) -> float | None:
@@ -78,7 +78,7 @@ def _middle(a: float, b: float) -> float:
     return sqrt(a * b) if a > 0 and b > FAR * a else (a + b) / 2
 
 
-LEAST = 1.1  # smallest factor on the number of seeds per round
+MIN_GROWTH = 1.1  # smallest factor on the number of seeds per round
 # (values, seeds by value) -> results by observer
 Look = Callable[[list[float], Mapping[float, int]], dict[str, list[Point]]]
 
@@ -90,10 +90,10 @@ def search(look: Look, scale: Scale, limit: float, most: int) -> dict[str, list[
         results = look(values, seeds)
         new, new_seeds = set(values), dict(seeds)
         for points in results.values():
-            requests = doubts(points, scale, limit, most)
+            requests = seeds_to_add(points, scale, limit, most)
             for value, count in requests.items():
                 new_seeds[value] = max(new_seeds.get(value, 0), count)
-            new |= set() if requests else set(gaps(points, scale))
+            new |= set() if requests else set(values_to_add(points, scale))
         if new_seeds == seeds and new == set(values):
             return results
         values, seeds = sorted(new), new_seeds
@@ -107,13 +107,13 @@ def brackets(points: list[Point], scale: Scale) -> list[tuple[Point, Point]]:
     return [(p, q) for p, q in pairwise(points) if p is a.largest or q is a.exceeds]
 
 
-def gaps(points: list[Point], scale: Scale) -> list[float]:
+def values_to_add(points: list[Point], scale: Scale) -> list[float]:
     """Return the values that would make an observer's limit more precise."""
     wide = [(p.value, q.value) for p, q in brackets(points, scale) if not scale.is_near(p.value, q.value)]
     return [middle for p, q in wide if (middle := scale.between(p, q)) is not None]
 
 
-def doubts(points: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
+def seeds_to_add(points: list[Point], scale: Scale, limit: float, most: int) -> dict[float, int]:
     """Return the number of seeds by value, where more seeds may decide an observer's verdict."""
     neighbours = [p for pair in brackets(points, scale) for p in pair]
     if answer(points).largest is None:
@@ -130,10 +130,10 @@ def _seeds_needed(p: Point, limit: float) -> int:
         return GROWTH * p.runs
     if side == 0:  # the runs do not vary, and equal the threshold
         return p.runs
-    return max(seeds_for(p.runs, side, max(gap, side / GROWTH)), ceil(LEAST * p.runs))
+    return max(seeds_for(p.runs, side, max(gap, side / GROWTH)), ceil(MIN_GROWTH * p.runs))
 
 
-ONE = re.compile(r"(.+)\[(\d+)\]")
+CHANNEL = re.compile(r"(.+)\[(\d+)\]")
 TAIL_SAMPLES = 4  # fewest samples in the tail of a run, by default
 DECADE = 10.0  # default range of a noise: divided and multiplied by this
 
@@ -165,8 +165,8 @@ class Axis(NamedTuple):
 
 def axis_of(text: str, s: Scenario, study_values: list[object] | None, where: str) -> Axis:
     """Return the axis called `text`; `study_values` are the study's values. Raise UserError if it is not a single number."""
-    match = ONE.fullmatch(text.strip())
-    name, at = (match[1].replace("-", "_"), int(match[2])) if match else (text.strip().replace("-", "_"), None)
+    match = CHANNEL.fullmatch(text.strip())
+    name, index = (match[1].replace("-", "_"), int(match[2])) if match else (text.strip().replace("-", "_"), None)
     names = [*axes.axes_of(s), *(f"plant.{p}" for p in parameters_in(s))]
     if name not in names:
         raise unknown("--axis", f"axis of {s.name}", name, names)
@@ -174,26 +174,27 @@ def axis_of(text: str, s: Scenario, study_values: list[object] | None, where: st
         raise UserError(
             f"--axis: got {name}, whose values are words or lists, expected an axis of numbers such as sampling_period."
         )
-    points: list[Any] = [axes.axis_value(name, value, s, f"{where}: axes.{name}") for value in study_values or []] or [
-        _scenario_value(name, s)
-    ]
+    points: list[Any] = [axes.axis_value(name, value, s, f"{where}: axes.{name}") for value in study_values or []]
+    points = points or [_scenario_value(name, s)]
     if not isinstance(points[0], tuple):
-        if at is not None:
-            raise UserError(f"--axis: got {short(text)}, where {name} is one number, expected no [{at}]; write {name}.")
+        if index is not None:
+            raise UserError(
+                f"--axis: got {short(text)}, where {name} is one number, expected no [{index}]; write {name}."
+            )
         return Axis(name, None, (), tuple(v for v in points if v is not None))
     first = points[0]
-    if at is not None and at >= len(first):
+    if index is not None and index >= len(first):
         raise UserError(
             f"--axis: got {short(text)}, expected {name}[0] to {name}[{len(first) - 1}]; write one of these."
         )
-    other_values = {tuple(v for i, v in enumerate(point) if at not in (None, i)) for point in points}
-    if len(other_values) > 1 or (at is None and any(len(set(point)) > 1 for point in points)):
+    other_values = {tuple(v for i, v in enumerate(point) if index not in (None, i)) for point in points}
+    if len(other_values) > 1 or (index is None and any(len(set(point)) > 1 for point in points)):
         raise UserError(
             f"--axis: got {short(text)}, whose {len(first)} numbers differ in {s.name} ({', '.join(map(str, first))}), "
             f"expected one of them; write {name}[0], and give the study one value of the others."
         )
-    values = tuple(point[at or 0] for point in points)
-    return Axis(name, at, first, tuple(v for v in values if v != INTERVAL))
+    values = tuple(point[index or 0] for point in points)
+    return Axis(name, index, first, tuple(v for v in values if v != INTERVAL))
 
 
 def _scenario_value(name: str, s: Scenario) -> axes.Value | None:
@@ -217,7 +218,7 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
     if tol is not None and not (0 < tol < float("inf") and tol >= tick * (1 - 1e-9)):
         least = f"at least a tick, {tick:g} s" if tick else "a number above 0"
         raise UserError(f"--tol: got {tol:g}, expected {least}; leave it out for a twentieth of the value.")
-    low, high = ends or ((min(axis.values), max(axis.values)) if len(set(axis.values)) > 1 else _usual(axis, s))
+    low, high = ends or ((min(axis.values), max(axis.values)) if len(set(axis.values)) > 1 else _default_range(axis, s))
     for end in (low, high):
         axes.axis_value(axis.name, axis.to_study(end), s, "--range")
     if not low < high:
@@ -226,13 +227,13 @@ def scale_of(axis: Axis, s: Scenario, ends: tuple[float, float] | None, tol: flo
     return scale._replace(also=tuple(v for v in axis.values if low <= v <= high))
 
 
-def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
+def _default_range(axis: Axis, s: Scenario) -> tuple[float, float]:
     """Return the default range of a scenario's number."""
     value = axis.values[0] if axis.values else 0.0
-    long = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
+    longest = max(int((s.duration - s.scoring.steady_start) / TAIL_SAMPLES / s.dt + 1e-6), 2) * s.dt
     period = min(s.sampling.sampling_period)
-    half = max((round(period / s.dt) - 1) // 2, 0) * s.dt
-    ends = {"tick": s.dt, "tail": long, "half": half, "period": period, "-period": -period}
+    half_period = max((round(period / s.dt) - 1) // 2, 0) * s.dt
+    ends = {"tick": s.dt, "tail": longest, "half": half_period, "period": period, "-period": -period}
     search_range = next((f.search for f in FIELDS if f.name == axis.name), None)
     usual = search_range and tuple(ends[end] if isinstance(end, str) else end for end in search_range)
     if usual is None and value:
@@ -249,7 +250,7 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
 NOT_SMALLER = ("rms_efficiency", "interval_coverage", *SIGNED)
 SMALLER_IS_BETTER = tuple(m for m in METRICS if m not in NOT_SMALLER)
 UNITLESS = ("divergence_rate", "unsettled_rate")
-PUSHES = ("parameter_drift", "process_std")
+EXCITATIONS = ("parameter_drift", "process_std")
 
 
 class Question(NamedTuple):
@@ -267,11 +268,10 @@ class Question(NamedTuple):
         """Return the metric's unit."""
         return "1" if self.metric in UNITLESS else unit_of(self.metric, dict(signals_of(self.scenario))[self.signal])
 
-    def over(self, values: list[float]) -> Study:
+    def with_values(self, values: list[float]) -> Study:
         """Return the study with these values of the axis."""
-        return self.study.model_copy(
-            update={"axes": self.study.axes | {self.axis.name: list(map(self.axis.to_study, values))}}
-        )
+        changes = self.study.axes | {self.axis.name: list(map(self.axis.to_study, values))}
+        return self.study.model_copy(update={"axes": changes})
 
     @property
     def axis_unit(self) -> str:
@@ -331,7 +331,7 @@ def notes(q: Question) -> list[str]:
 
 def settles_sentence(s: Scenario, axis_names: Iterable[str]) -> str:
     """Return a sentence if no observer is needed: the plant is known exactly and decays without noise; otherwise nothing."""
-    if any(name in PUSHES or name.startswith("plant.") for name in axis_names) or not settles_alone(s):
+    if any(name in EXCITATIONS or name.startswith("plant.") for name in axis_names) or not settles_alone(s):
         return ""
     return (
         f"{s.name}: the plant decays by itself, equals its model, and has no process noise. So the model "

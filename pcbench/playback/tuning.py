@@ -18,7 +18,7 @@ from pcbench import planning
 from pcbench.dataset import storage
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
-from pcbench.gains.history import FOUND, REFIT, Evaluation, History, basis_of
+from pcbench.gains.history import REFIT, TUNED, Evaluation, History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.gains.validation import MAX_WORSE
 from pcbench.observers import ObserverSpec
@@ -369,4 +369,4 @@ def _write(tuned: LogTuning, target: storage.Target, description: str) -> None:
     summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     summary |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
     record = plain(summary, nulls=False)  # TOML has no null: unknown values are left out
-    storage.write_file(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())
+    storage.write_file(target, TUNED, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

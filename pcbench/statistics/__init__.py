@@ -37,10 +37,10 @@ from pcbench.statistics.comparison import (
 )
 from pcbench.statistics.confidence_intervals import Z95, Values, moments, positive, student
 from pcbench.statistics.metric_matrix import (
-    ASKED,
     CHUNK,
     COMPARED,
     OF_RUN,
+    OPTIONAL,
     POOLED,
     RUN_METRICS,
     Chunks,
@@ -51,20 +51,20 @@ from pcbench.statistics.metric_matrix import (
 from pcbench.statistics.quantile_intervals import COLUMNS, QUANTILES
 
 __all__ = [
-    "ASKED",
     "CHUNK",
     "COLUMNS",
     "COMPARED",
     "ESTIMATED",
     "OF_RUN",
+    "OPTIONAL",
     "POOLED",
     "QUANTILES",
     "RUN_METRICS",
     "SAME",
-    "SEEN",
     "VERDICT",
     "Z95",
     "ZERO",
+    "ZERO_BOUND",
     "Chunks",
     "ObserverSummary",
     "Pair",
@@ -80,7 +80,7 @@ __all__ = [
     "summary_of_cells",
 ]  # fmt: skip
 
-SEEN = 1e-9  # relative to the prior: a smaller bound counts as zero, and gives no efficiency
+ZERO_BOUND = 1e-9  # relative to the prior: a smaller bound counts as zero, and gives no efficiency
 
 
 def mean(values: Values) -> Row:

@@ -101,21 +101,21 @@ def accumulate(old: Aggregate | None, s: Stack) -> Aggregate:
 def quantile_rows(aggregates: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     """Return quantiles and their intervals [K, COLUMNS] by observer; with a second pass if not all values are stored."""
     at = {n: positions(n) for n in {s.moments.n for s in aggregates.values()} if n}
-    where = {label: at[s.moments.n] for label, s in aggregates.items() if s.moments.n}
-    ranks_of = {label: ranks(p, aggregates[label].moments.n) for label, p in where.items()}
-    searches = {label: quantile_intervals.seek(aggregates[label].order, ranks_of[label]) for label in where}
-    open_ = [label for label in where if not quantile_intervals.is_complete(aggregates[label].order)]
-    parts: dict[str, list[list[Values]]] = {label: [] for label in where}
-    for chunk in chunks() if open_ else ():
-        for label in open_:
+    positions_of = {label: at[s.moments.n] for label, s in aggregates.items() if s.moments.n}
+    ranks_of = {label: ranks(p, aggregates[label].moments.n) for label, p in positions_of.items()}
+    searches = {label: quantile_intervals.seek(aggregates[label].order, ranks_of[label]) for label in positions_of}
+    incomplete = [label for label in positions_of if not quantile_intervals.is_complete(aggregates[label].order)]
+    parts: dict[str, list[list[Values]]] = {label: [] for label in positions_of}
+    for chunk in chunks() if incomplete else ():
+        for label in incomplete:
             new = stack(chunk[label])
             parts[label].append(quantile_intervals.collect(searches[label], keep_columns(new.values, ~new.diverged)))
     out = {}
     for label, s in aggregates.items():
         out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
-        if label in where:
+        if label in positions_of:
             values = quantile_intervals.select(s.order, searches[label], ranks_of[label], parts[label])
-            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, values_at(where[label], values))
+            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, values_at(positions_of[label], values))
     return out
 
 
@@ -160,9 +160,10 @@ def summarize_observer(s: Aggregate, quantiles: Values, bounds: Values | None) -
 
 def _means(s: Aggregate) -> Estimate:
     """Return the means of all metrics; signed metrics have Student's interval."""
-    means, plain = positive(s.moments), student(s.moments)
+    means, student_means = positive(s.moments), student(s.moments)
     is_signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
-    low, high = (np.where(is_signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
+    low = np.where(is_signed, student_means.ci_low, means.ci_low)
+    high = np.where(is_signed, student_means.ci_high, means.ci_high)
     return means._replace(ci_low=low, ci_high=high)
 
 

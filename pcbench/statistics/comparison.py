@@ -37,11 +37,11 @@ def pair_stats(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np
     is_good = ~(bad_a | bad_b)
     a, b = keep_columns(a, is_good), keep_columns(b, is_good)
     difference = a - b
-    room = np.maximum(np.abs(a), np.abs(b))
-    room *= SAME
-    room += floor[:, None]
-    ties = (np.abs(difference) <= room).sum(-1)
-    wins = (difference < -room).sum(-1)
+    tolerance = np.maximum(np.abs(a), np.abs(b))
+    tolerance *= SAME
+    tolerance += floor[:, None]
+    ties = (np.abs(difference) <= tolerance).sum(-1)
+    wins = (difference < -tolerance).sum(-1)
     only = int((bad_a & ~bad_b).sum()), int((bad_b & ~bad_a).sum())
     return PairStats(moments(difference), wins, ties, only, int((bad_a & bad_b).sum()))
 
@@ -87,8 +87,9 @@ def paired_ratio(a: Values, b: Values) -> Estimate:
         return Estimate(0, blank, blank, blank, blank)
     means = [values.mean(-1) for values in (a, b)]
     is_positive = (means[0] > 0) & (means[1] > 0)
-    over, under = (np.where(is_positive, mean, 1.0) for mean in means)
-    ratio, log = np.where(is_positive, over / under, np.nan), student(moments(a / over[:, None] - b / under[:, None]))
+    numerator, denominator = (np.where(is_positive, mean, 1.0) for mean in means)
+    ratio = np.where(is_positive, numerator / denominator, np.nan)
+    log = student(moments(a / numerator[:, None] - b / denominator[:, None]))
     low, high = (ratio * np.exp(end - log.mean) for end in (log.ci_low, log.ci_high))
     return Estimate(log.n, ratio, ratio * log.se, low, high)
 
@@ -114,7 +115,7 @@ class PairedRuns(NamedTuple):
     """Accumulated comparison of two observers at C grid points, over the metrics [K] of the signals that both estimate."""
 
     names: list[SignalMetric]
-    contest: PairStats  # [C K]
+    stats: PairStats  # [C K]
 
 
 class PairResult(NamedTuple):
@@ -141,7 +142,7 @@ def add_pairs(
         stats = stack_metrics(
             [pair_stats(a.values[in_a[k]], b.values[in_b[k]], a.diverged, b.diverged, floor[k]) for k in blocks]
         )
-        out[pair] = PairedRuns(names, merge_pairs(old[pair].contest, stats) if pair in old else stats)
+        out[pair] = PairedRuns(names, merge_pairs(old[pair].stats, stats) if pair in old else stats)
     return out
 
 
@@ -149,7 +150,7 @@ def pair_results(comparisons: dict[Pair, PairedRuns]) -> dict[Pair, PairResult]:
     """Return the rows of every pair of observers as columns, for all grid points."""
     out = {}
     for pair, m in comparisons.items():
-        d, better, p = paired_t_test(m.contest)
+        d, better, p = paired_t_test(m.stats)
         table = np.stack([*d[1:], better, p], 1)
         out[pair] = PairResult(m.names, d.n, table.reshape(-1, len(m.names), len(VERDICT)))
     return out

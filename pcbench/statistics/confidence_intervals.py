@@ -56,9 +56,7 @@ class Moments(NamedTuple):
 
 def moments(values: Values) -> Moments:
     """Return the moments of the rows of values [K, n]; NaN affects only its row."""
-    x = np.ascontiguousarray(
-        values, dtype=np.float64
-    )  # contiguous: a row's sum has the same bits for any memory layout
+    x = np.ascontiguousarray(values, dtype=np.float64)  # a row's sum has the same bits for any memory layout
     n = x.shape[-1]
     centre = x.sum(-1) / max(n, 1)
     difference = x - centre[:, None]
@@ -108,9 +106,9 @@ def positive(m: Moments) -> Estimate:
     e = student(m)
     if m.n < 2:
         return e
-    part = e.se * student_quantile(m.n - 1, 0.975) / np.where(e.mean > 0, e.mean, 1.0)
+    relative_half = e.se * student_quantile(m.n - 1, 0.975) / np.where(e.mean > 0, e.mean, 1.0)
     with np.errstate(over="ignore"):  # for the mean of a signed metric, which uses Student's interval
-        return e._replace(ci_low=e.mean * np.exp(-part), ci_high=e.mean * np.exp(part))
+        return e._replace(ci_low=e.mean * np.exp(-relative_half), ci_high=e.mean * np.exp(relative_half))
 
 
 def root(squares: Estimate) -> Estimate:

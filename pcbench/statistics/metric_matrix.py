@@ -16,38 +16,22 @@ RUN_METRICS = (
     *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
     *("nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS, "sent_fraction"),
 )  # recovery_time if an unknown input jumps; tracking_* for the states that follow a path
+# one number per run, stored with the first signal: of a closed loop, of sensors, or of an observer with a covariance
 OF_RUN = (
-    "lq_cost",
-    "steady_lq_cost",
-    "input_rms",
-    "steady_input_rms",
-    "nees",
-    "nees_dof",
-    "nis",
-    "nis_dof",
-    "sent_fraction",
-)  # one number per run, stored with the first signal: of a closed loop, of sensors, or of an observer with a covariance
-ASKED = (*OF_RUN, "signal_nees", *INTERVALS)  # in a table of runs only if they exist
+    *("lq_cost", "steady_lq_cost", "input_rms", "steady_input_rms"),
+    *("nees", "nees_dof", "nis", "nis_dof", "sent_fraction"),
+)
+OPTIONAL = (*OF_RUN, "signal_nees", *INTERVALS)  # in a table of runs only if they exist
 SIGNED = ("final_error",)  # signed error; all others cannot be negative
-UNRANKED = (
-    *SIGNED,
-    "nees",
-    "nees_dof",
-    "nis",
-    "nis_dof",
-    "signal_nees",
-    *INTERVALS,
-    "sent_fraction",
-)  # neither large nor small is better: a narrow interval is only good if it contains the state
+# neither large nor small is better: a narrow interval is only good if it contains the state
+UNRANKED = (*SIGNED, "nees", "nees_dof", "nis", "nis_dof", "signal_nees", *INTERVALS, "sent_fraction")
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "steady_pooled_rmse": "steady_mse"}
 
 CHUNK = 4096  # seeds per chunk: the last bits depend on where chunks end, so they end where seeds % CHUNK = 0
 
 Results = dict[str, NDArray[Any]]  # of one observer: metric -> [signals, n], `diverged` [n], `unsettled` [signals, n]
-Chunks = Callable[
-    [], Iterable[dict[str, Results]]
-]  # a pass over the runs of a grid point: by observer, with the same seeds in order
+Chunks = Callable[[], Iterable[dict[str, Results]]]  # a pass over a grid point's runs: by observer, seeds in order
 Scalar = TypeVar("Scalar", bound=np.generic)
 SignalMetric = tuple[str, int]  # a metric of a signal (by its index)
 

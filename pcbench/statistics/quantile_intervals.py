@@ -26,13 +26,13 @@ Order statistics of any number of values are exact, from at most two passes over
 Source: Munro and Paterson, Selection and sorting with limited storage, Theor. Comput. Sci. 12 (1980), 315-323. Here the
 splitters come from a first part of the values; runs have independent seeds, so their order carries no information.
 
-Up to HELD values are stored. With more, some of them become splitters s_1 <= ... <= s_S. The first pass counts the values below
-and at each splitter. This locates the value of rank r: at a splitter (ties of a splitter cost nothing more) or between two. The
+Up to MAX_STORED values are stored. With more, some of them become splitters s_1 <= ... <= s_S. The first pass counts the values
+below and at each splitter. This locates the value of rank r: at a splitter (ties of a splitter cost nothing more) or between two. The
 second pass collects the values there. The result is one of the values for any splitters: parts and their order change the cost,
 never a bit.
 
-Memory per row: HELD values and a part, 3 S numbers, and about 1 / S of all values for each requested gap between splitters.
-That is small but not constant (10 million values, 20 gaps: 100,000). If the first parts differ from the rest, one gap may
+Memory per row: MAX_STORED values and a part, 3 S numbers, and about 1 / S of all values for each requested gap between
+splitters. That is small but not constant (10 million values, 20 gaps: 100,000). If the first parts differ from the rest, one gap may
 contain all values.
 """
 
@@ -66,7 +66,7 @@ def positions(n: int) -> Positions:
 
 
 def ranks(where: Positions, n: int) -> NDArray[np.int64]:
-    """Return the ranks [2 W] that `read` needs: those of the positions and the next ones."""
+    """Return the ranks [2 W] that `values_at` needs: those of the positions and the next ones."""
     return np.concatenate([where.rank, np.minimum(where.rank + 1, n - 1)])
 
 
@@ -94,7 +94,7 @@ def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
     return r - 1, np.where(is_closed, 1 / (1 + odds), np.nan)
 
 
-HELD = 4096  # with at most this many values there are no splitters and no second pass
+MAX_STORED = 4096  # with at most this many values there are no splitters and no second pass
 SPLITTERS = 2048
 
 Counts = NDArray[np.int64]
@@ -130,7 +130,7 @@ def add(order: Order, values: Values) -> Order:
         below, upto = _count(order.splitters, part)
         return order._replace(n=n, below=order.below + below, upto=order.upto + upto)
     parts = (*order.parts, part)
-    if n <= HELD:
+    if n <= MAX_STORED:
         return order._replace(n=n, parts=parts)
     table = np.sort(np.concatenate(parts, axis=-1), axis=-1)
     at = np.linspace(0, n - 1, min(SPLITTERS, n)).astype(np.int64)
@@ -189,6 +189,5 @@ def select(order: Order, search: Search, ranks: NDArray[np.int64], parts: list[l
 def _count(splitters: Values, part: Values) -> tuple[Counts, Counts]:
     """Return how many values of the sorted part [K, m] are below, and up to, each splitter [K, S]."""
     rows = list(zip(part, splitters, strict=True))
-    return np.stack([np.searchsorted(*row, "left") for row in rows]), np.stack(
-        [np.searchsorted(*row, "right") for row in rows]
-    )
+    below, upto = (np.stack([np.searchsorted(*row, side) for row in rows]) for side in ("left", "right"))
+    return below, upto

@@ -102,6 +102,6 @@ def _is_worse(pairs: list[Row], best: Row, rival: Row) -> bool:
     several, sign = int(row["n"]) != 1, 1 if row["observer_a"] == best["observer"] else -1
     if (
         sign * float(row["mean_diff"]) > 0
-    ):  # fewer runs diverged, not significantly, and the mean of the others is worse
+    ):  # the best has fewer diverged runs, though not significantly, and a larger mean
         return False
     return several and not alike if np.isnan(p) else p <= ALPHA

@@ -84,7 +84,7 @@ def test_other_code_or_another_library_is_evaluated(evaluations, monkeypatch):
     assert len(evaluations) == 2 * count
 
 
-@pytest.mark.parametrize("name", [history.HISTORY, history.FOUND])
+@pytest.mark.parametrize("name", [history.HISTORY, history.TUNED])
 def test_a_damaged_entry_is_no_entry(evaluations, cache, name):
     found = once().best
     count = len(evaluations)

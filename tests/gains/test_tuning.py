@@ -53,9 +53,9 @@ def test_every_vector_of_numbers_is_an_option(observer, data):
 @pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "steady_pooled_rmse"])
 def test_a_goals_slope_is_its_derivative_and_a_lost_run_has_no_number(metric):
     goal, runs, lost = Objective(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
-    assert goal.slope(2.0) == pytest.approx((goal.of(2.0 + 1e-6) - goal.of(2.0 - 1e-6)) / 2e-6, rel=1e-8)
-    assert goal.over(runs, lost) == goal.of(14 / 3)
-    assert goal.over(runs, np.array([False, True, False])) == np.inf
+    assert goal.slope(2.0) == pytest.approx((goal.from_mean(2.0 + 1e-6) - goal.from_mean(2.0 - 1e-6)) / 2e-6, rel=1e-8)
+    assert goal.from_runs(runs, lost) == goal.from_mean(14 / 3)
+    assert goal.from_runs(runs, np.array([False, True, False])) == np.inf
 
 
 def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():

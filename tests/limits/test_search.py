@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pcbench.limits.search import Scale, doubts, search
+from pcbench.limits.search import Scale, search, seeds_to_add
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.limit_verdicts import Point, answer
 
@@ -150,9 +150,9 @@ def test_a_value_that_an_observer_cannot_work_at_is_no_failure_and_no_success():
 
 def test_one_run_is_not_sure_and_a_mean_at_the_limit_that_does_not_vary_never_will_be():
     one = Point(0.1, "undecided", 0.05, nan, nan, 1)
-    assert doubts([one], PERIODS, LIMIT, MOST) == {0.1: 16}
+    assert seeds_to_add([one], PERIODS, LIMIT, MOST) == {0.1: 16}
     exact = Point(0.1, "undecided", LIMIT, LIMIT, LIMIT, 64)
-    assert doubts([exact], PERIODS, LIMIT, MOST) == {}
+    assert seeds_to_add([exact], PERIODS, LIMIT, MOST) == {}
     assert answer([exact]).kind == "undecided"
 
 

@@ -89,7 +89,7 @@ def test_a_variant_has_the_hue_of_its_base():
 def test_words_are_read_on_every_colour_and_its_pale_form():
     for colour in (look.colour for look in palette.LOOKS.values()):
         for ground in (colour, palette.pale(colour)):
-            light, ink = (XYZ[1] @ linear(c) for c in (ground, palette.on(ground)))
+            light, ink = (XYZ[1] @ linear(c) for c in (ground, palette.ink_on(ground)))
             assert (max(light, ink) + 0.05) / (min(light, ink) + 0.05) > 3.4, ground
 
 

@@ -92,7 +92,7 @@ def test_best_and_verdicts_are_those_of_standings(result):
 
 def test_interval_of_ratio_is_that_of_runs(result, monkeypatch):
     """It is the delta method over paired runs. Rounding: the covariance is a difference of squares."""
-    monkeypatch.setattr(explorer, "_plain", lambda values, digits=0: np.asarray(values, float).ravel().tolist())
+    monkeypatch.setattr(explorer, "_rounded", lambda values, digits=0: np.asarray(values, float).ravel().tolist())
     grid = explorer.Grid(STUDY["observers"], [0, 1, 2, 3])
     series = explorer._signal(result, "cart/gaussian", "position", grid)["series"]["steady_rmse"]
     runs, compared = result.runs[result.runs.signal == "position"], 0

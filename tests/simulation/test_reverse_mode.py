@@ -123,7 +123,7 @@ def test_gradients_are_those_of_finite_differences(observer):
     def design(at):
         return entry_of(observer).design(known, parameters.with_values(options, every, at)).gains
 
-    back = optimizers.backwards(p, aim, study.root_seed, SEEDS)
+    back = optimizers.value_and_gradient(p, aim, study.root_seed, SEEDS)
     mean, slopes, lost = back(design(at))
     assert not lost
     got = optimizers.chain(slopes, design, at)

@@ -303,7 +303,7 @@ def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, diver
     chunks, passes = cut(whole, size)
     bounds = {label: np.array([0.5, np.nan]) for label in whole} | {"observer-0": None}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quantile_intervals, "HELD", held)
+        patch.setattr(quantile_intervals, "MAX_STORED", held)
         patch.setattr(quantile_intervals, "SPLITTERS", splitters)
         stats_rows, pair_rows = runs_as_rows.summarise(chunks, bounds, SIGNALS, SIZES)
         assert len(passes) <= (1 if n <= held else 2)
@@ -332,7 +332,7 @@ def test_selection_is_exact_to_the_bit_whatever_the_parts(seed, n, kind, borders
     parts = np.split(x, sorted(b for b in borders if b <= n), axis=1)
     ranks = rng.integers(0, n, 30)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quantile_intervals, "HELD", held)
+        patch.setattr(quantile_intervals, "MAX_STORED", held)
         patch.setattr(quantile_intervals, "SPLITTERS", splitters)
         order = quantile_intervals.EMPTY
         for part in parts:
