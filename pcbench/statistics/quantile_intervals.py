@@ -27,13 +27,13 @@ Source: Munro and Paterson, Selection and sorting with limited storage, Theor. C
 splitters come from a first part of the values; runs have independent seeds, so their order carries no information.
 
 Up to MAX_STORED values are stored. With more, some of them become splitters s_1 <= ... <= s_S. The first pass counts the values
-below and at each splitter. This locates the value of rank r: at a splitter (ties of a splitter cost nothing more) or between two. The
-second pass collects the values there. The result is one of the values for any splitters: parts and their order change the cost,
-never a bit.
+below and at each splitter. This locates the value of rank r: at a splitter (ties of a splitter cost nothing more) or between
+two. The second pass collects the values there. The result is one of the values for any splitters: parts and their order change
+the cost, never a bit.
 
 Memory per row: MAX_STORED values and a part, 3 S numbers, and about 1 / S of all values for each requested gap between
-splitters. That is small but not constant (10 million values, 20 gaps: 100,000). If the first parts differ from the rest, one gap may
-contain all values.
+splitters. That is small but not constant (10 million values, 20 gaps: 100,000). If the first parts differ from the rest, one
+gap may contain all values.
 """
 
 from functools import cache
