@@ -105,9 +105,9 @@ def _if_flat(profile: Profile, best: Delays) -> Delays | None:
     moves, values = _ask(profile, best, np.ones(len(best), int), np.linspace(first, last, FLAT).astype(int))
     if len(moves) < 2 or values.max() - values.min() > LEVEL:
         return None
-    every = np.arange(first, last + 1)
-    nearest = every[np.argmin(np.abs(np.array(best) + every[:, None]).sum(1))]
-    return tuple((np.array(best) + nearest).tolist())
+    shifts = np.arange(first, last + 1)
+    shift = shifts[np.argmin(np.abs(np.array(best) + shifts[:, None]).sum(1))]
+    return tuple((np.array(best) + shift).tolist())
 
 
 def _inside(profile: Profile, delays: Iterable[float]) -> Delays:

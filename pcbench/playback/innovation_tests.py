@@ -60,15 +60,15 @@ class Sums(NamedTuple):
     newest: Floats = np.zeros(0)  # the last LAGS values of z
 
 
-def add(sums: Sums, numbers: Floats, held_out: Bools) -> Sums:
+def add(sums: Sums, stats: Floats, held_out: Bools) -> Sums:
     """Return the sums after further samples [K, 4 or more]: nis_sum, dof, log_det, normalized_sum; held_out [K]."""
-    tested = numbers[:, 1] > 0
-    numbers, part = numbers[tested], held_out[tested].astype(int)
-    z = numbers[:, 3] / np.sqrt(numbers[:, 1])
+    tested = stats[:, 1] > 0
+    stats, part = stats[tested], held_out[tested].astype(int)
+    z = stats[:, 3] / np.sqrt(stats[:, 1])
     every, n_old = np.concatenate([sums.newest, z]), len(sums.newest)
     products = [every[max(n_old, h) :] @ every[max(n_old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
-        totals=sums.totals + [np.bincount(part, numbers[:, i], 2)[:2] for i in range(3)],
+        totals=sums.totals + [np.bincount(part, stats[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
         z_sum=sums.z_sum + float(z.sum()),
         products=sums.products + np.array(products),
@@ -82,13 +82,13 @@ class InnovationSums(NamedTuple):
     total: Sums
     channels: list[Sums]  # [q]
 
-    def add(self, numbers: Floats, held_out: Bools) -> "InnovationSums":
-        """Return the sums after further samples [K, 4 + q], whose last numbers are nu_j / sqrt(s_j) by channel."""
-        tested, channels = numbers[:, 1] > 0, []
-        for sums, z in zip(self.channels, numbers[tested, 4:].T, strict=True):
+    def add(self, stats: Floats, held_out: Bools) -> "InnovationSums":
+        """Return the sums after further samples [K, 4 + q], whose last columns are nu_j / sqrt(s_j) by channel."""
+        tested, channels = stats[:, 1] > 0, []
+        for sums, z in zip(self.channels, stats[tested, 4:].T, strict=True):
             values, part = z[~np.isnan(z)], held_out[tested][~np.isnan(z)]
             channels.append(add(sums, np.stack([values**2, np.ones_like(values), 0 * values, values], 1), part))
-        return InnovationSums(add(self.total, numbers, held_out), channels)
+        return InnovationSums(add(self.total, stats, held_out), channels)
 
 
 def by_channel(

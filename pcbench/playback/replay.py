@@ -125,7 +125,7 @@ def _likelihoods(axes: list[str], results: list[tuple[TomlTable, ReplayResult]],
     if out is not None:
         replay_metrics.write_summary(out, summary)
     empty = pd.DataFrame()
-    return ReplayResult(innovations, empty, empty, None, replay_metrics.plain(summary), channels)
+    return ReplayResult(innovations, empty, empty, None, replay_metrics.json_values(summary), channels)
 
 
 def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
@@ -286,6 +286,6 @@ def _results(
         distances=distances,
         metrics=metrics if passage.scores else pd.DataFrame(),
         estimates=estimates,
-        summary=replay_metrics.plain(summary),
+        summary=replay_metrics.json_values(summary),
         channels=pd.DataFrame(channels),
     )

@@ -87,10 +87,10 @@ def innovation_table(
         ("arrived", "s", "time since the start of the log", (first + k) * clock.dt),
         ("value", "", "measured value", w.value[k, slot, channel]),
     ]
-    for observer, numbers in innovations.items():
-        sigma = numbers[k, slot, len(channels) + channel]
+    for observer, stats in innovations.items():
+        sigma = stats[k, slot, len(channels) + channel]
         meaning = "measured value minus prediction, given all that arrived before"
-        fields.append((f"{observer}.innovation", "", meaning, numbers[k, slot, channel] * sigma))
+        fields.append((f"{observer}.innovation", "", meaning, stats[k, slot, channel] * sigma))
         fields.append((f"{observer}.innovation.sigma", "", "assumed standard deviation of the innovation", sigma))
     names = pa.DictionaryArray.from_arrays(pa.array(channel.astype(np.int32)), pa.array(channels, pa.string()))
     return _table_of(fields, clock).add_column(0, "channel", names)
@@ -133,7 +133,7 @@ class Draft:
 
     def finish(self, summary: Mapping[str, object]) -> None:
         """Write all other results next to the tables, NaN as null, and rename the files to their final names."""
-        storage.write_json(storage.target(self.folder), self.summary.name, plain(summary))
+        storage.write_json(storage.target(self.folder), self.summary.name, json_values(summary))
         names = [name for name in TABLES if name in self._writers]
         storage.rename_all([(self.part(name), self.folder / name) for name in (*names, SUMMARY)])
         for name in set(TABLES) - set(names):  # from an earlier replay
@@ -169,7 +169,7 @@ def draft(folder: Path) -> Iterator[Draft]:
 def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
     """Write the summary of a replay without estimates to a folder; raise UserError if that fails."""
     with draft(folder) as files:
-        storage.write_json(storage.target(folder), files.summary.name, plain(summary))
+        storage.write_json(storage.target(folder), files.summary.name, json_values(summary))
         storage.rename_all([(files.summary, folder / SUMMARY)])
 
 
@@ -183,15 +183,15 @@ def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
             first += len(table)
 
 
-def plain(value: Any, nulls: bool = True) -> Any:
+def json_values(value: Any, nulls: bool = True) -> Any:
     """Return a summary as JSON values, NaN as null; without `nulls` it is left out of tables."""
     if isinstance(value, dict):
-        out = {str(key): plain(each, nulls) for key, each in value.items()}
-        return {key: each for key, each in out.items() if nulls or each is not None}
+        out = {str(key): json_values(entry, nulls) for key, entry in value.items()}
+        return {key: entry for key, entry in out.items() if nulls or entry is not None}
     if isinstance(value, list | tuple):
-        return [plain(each, nulls) for each in value]
-    number = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(number, float) and not np.isfinite(number) else number
+        return [json_values(entry, nulls) for entry in value]
+    scalar = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(scalar, float) and not np.isfinite(scalar) else scalar
 
 
 def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: int) -> pd.DataFrame:

@@ -25,7 +25,7 @@ from pcbench.observers import ObserverSpec
 from pcbench.playback import delay_profile, delay_search, innovation_tests, likelihood
 from pcbench.playback.delay_search import ChannelDelay
 from pcbench.playback.likelihood import SampleLikelihood
-from pcbench.playback.replay_metrics import plain
+from pcbench.playback.replay_metrics import json_values
 from pcbench.playback.setup import Playback, PlaybackSetup, open_playback
 from pcbench.recordings.corrections import toml_with_offsets
 from pcbench.recordings.log import Floats, Ints
@@ -368,5 +368,5 @@ def _write(tuned: LogTuning, target: storage.Target, description: str) -> None:
     }
     summary |= {"method": "likelihood", "intensities": [i._asdict() for i in tuned.intensities]}
     summary |= {"gain": tuned.gain, "gain_se": tuned.gain_se, "held_out": tuned.held_out}
-    record = plain(summary, nulls=False)  # TOML has no null: unknown values are left out
+    record = json_values(summary, nulls=False)  # TOML has no null: unknown values are left out
     storage.write_file(target, TUNED, tomli_w.dumps(tuned.study | {"resolved": {"tuning": record}}).encode())

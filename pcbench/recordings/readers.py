@@ -295,9 +295,9 @@ def _channel(
         row, evaluate, changes = 1, value.evaluator(), Changes()
         for part in kind.columns(source):
             values = evaluate(part)
-            many, std = len(values), np.zeros(0)
-            rows = np.arange(row, row + many, dtype=np.int64)
-            row += many
+            count, std = len(values), np.zeros(0)
+            rows = np.arange(row, row + count, dtype=np.int64)
+            row += count
             stamps = times(part, rows) + c.clock_offset
             arrivals = part[arrival_field] if arrival_field else stamps + (fixed_delay or 0.0)
             if noise_field:  # empty or negative values become 0, which `require_sound` refuses
@@ -307,7 +307,7 @@ def _channel(
             if c.only_changes:
                 is_measured[is_measured] = changes(values[is_measured])
             if is_measured.any():
-                yield Batch(np.full(many, index), stamps, arrivals, values, rows, std).select(is_measured)
+                yield Batch(np.full(count, index), stamps, arrivals, values, rows, std).select(is_measured)
 
     return read
 

@@ -28,10 +28,10 @@ def thin_tables(
     number = pd.Series(samples.channel).groupby(samples.channel).cumcount().to_numpy()
     selection = samples.select(number % every == 0)
     if delays is not None:
-        draw, random_delays = np.random.default_rng(seed), np.zeros(len(selection.row))
+        rng, random_delays = np.random.default_rng(seed), np.zeros(len(selection.row))
         for i, name in enumerate(log.channels):
             of_channel = selection.channel == i
-            random_delays[of_channel] = draw.choice(delays[name], of_channel.sum())
+            random_delays[of_channel] = rng.choice(delays[name], of_channel.sum())
         selection = selection._replace(arrived=selection.sampled + random_delays)
     names = log.channels if truth is None else tuple(truth)
     if len(names) != len(log.channels):
@@ -40,8 +40,8 @@ def thin_tables(
         )
     truth_table = _read_all(log.truth) if log.truth else None
     if truth_table is None:
-        wide = pd.DataFrame({"c": samples.channel, "t": samples.sampled, "v": samples.value}).dropna()
-        table = wide.groupby(["t", "c"]).v.last().unstack("c").reindex(columns=range(len(names)))
+        values = pd.DataFrame({"c": samples.channel, "t": samples.sampled, "v": samples.value}).dropna()
+        table = values.groupby(["t", "c"]).v.last().unstack("c").reindex(columns=range(len(names)))
         truth_table = names, table.index.to_numpy(), table.to_numpy()
     inputs = _read_all(log.inputs)[1:] if log.inputs else None
     return as_tables(selection, log.channels, inputs, truth_table)

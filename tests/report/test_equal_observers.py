@@ -151,11 +151,8 @@ def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
     result, draw = study_of(4, **CASES["draw"]), "as good as the best: kf, kf-shifted-innovation at 4 of 4 grid points"
     assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
     (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
-    assert (row.significance, [name for name, _ in row.best], row.is_leader) == (
-        draw,
-        ["kf", "kf-shifted-innovation"],
-        True,
-    )
+    names = [name for name, _ in row.best]
+    assert (row.significance, names, row.is_leader) == (draw, ["kf", "kf-shifted-innovation"], True)
     found = summary.rankings(result, "steady_rmse", None)[0].standings
     assert (
         captions.winners(found)
