@@ -89,8 +89,8 @@ def trial(label: str, scenario: Scenario) -> tuple[Trial, str]:
     _, u0 = _point(entry, n, m)
     spread = np.array([std or SHARE for std in scenario.belief.prior_std])
     t = Trial(label, scenario, params, model, spread, SHARE * np.where(u0, abs(u0), 1.0))
-    axes = f"; axes: {', '.join(f'plant.{name}' for name in t.axes)}" if t.axes else ""
-    return t, f"{n} states, {m} inputs, {q} outputs{axes}"
+    axes_text = f"; axes: {', '.join(f'plant.{name}' for name in t.axes)}" if t.axes else ""
+    return t, f"{n} states, {m} inputs, {q} outputs{axes_text}"
 
 
 def plant_scenario(label: str, entry: PlantSpec, fields: dict[str, Any]) -> Scenario:

@@ -278,14 +278,14 @@ def status(folder: Folder, as_json: Json = False) -> None:
 
     Example: pcbench status results/quick
     """
-    from pcbench.cli.render import folder as screen
+    from pcbench.cli.render import folder as render
     from pcbench.dataset import verify
 
     content = verify.status(folder)
     if as_json:
         print(json.dumps(content._asdict() | {"shares": [s._asdict() for s in content.shares]}, indent=2))
     else:
-        screen.status(content, folder, console())
+        render.status(content, folder, console())
     if content.damaged or content.doubled:
         raise typer.Exit(1)
 
@@ -344,7 +344,7 @@ def verify(
     setup()
     if exact:
         return _against_exact(folder, figure, quiet, as_json)
-    from pcbench.cli.render import folder as screen
+    from pcbench.cli.render import folder as render
     from pcbench.dataset import verify
 
     with show_progress(quiet or as_json) as progress:
@@ -352,14 +352,14 @@ def verify(
     if as_json:
         print(json.dumps(result._asdict(), indent=2))
     elif not quiet:
-        screen.verdict(result, folder, console())
+        render.verdict(result, folder, console())
     if result.wrong or result.differing or result.unlike:
         raise typer.Exit(1)
 
 
 def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) -> None:
     """Compare simulated means with exact values, draw the figure if one is requested, and print the verdict."""
-    from pcbench.cli.render import folder as screen
+    from pcbench.cli.render import folder as render
     from pcbench.cli.render.tables import to_json
     from pcbench.dataset import validate_exact
 
@@ -372,7 +372,7 @@ def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) 
         summary = {"verdict": validation.verdict, "limit": validation.limit, "refused": validation.refusals}
         print(to_json(summary | {"rows": validation.rows.to_dict("records")}))
     elif not quiet:
-        screen.against_exact(validation, console())
+        render.against_exact(validation, console())
     if len(validation.wrong):
         raise typer.Exit(1)
 

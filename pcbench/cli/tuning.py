@@ -84,14 +84,14 @@ def _require_writable(out: Path) -> None:
 
 def _values(text: str) -> tuple[str, list[object]]:
     """Return the option and the values of OPTION=A,B,...; values are TOML, or plain words."""
-    option, equals, listing = text.partition("=")
-    if not equals or not option.strip() or not listing.strip():
+    name, equals, listing = text.partition("=")
+    if not equals or not name.strip() or not listing.strip():
         raise UserError(f"--sweep: got '{text}', expected OPTION=A,B,... such as decay=0.2,0.5,1.")
     try:
         values = toml_text.parse(f"values = [{listing}]")["values"]
     except ValueError:
         values = [v.strip() for v in listing.split(",")]
-    return option.strip(), values
+    return name.strip(), values
 
 
 def tune(

@@ -97,8 +97,8 @@ class About(NamedTuple):
 
 def comment(text: str) -> str:
     """Return a text that is safe in a C comment: it does not open or end a comment, or join two lines."""
-    for code in ("*/", "/*", "??/"):
-        text = text.replace(code, f"{code[:-1]} {code[-1]}")
+    for sequence in ("*/", "/*", "??/"):
+        text = text.replace(sequence, f"{sequence[:-1]} {sequence[-1]}")
     text = printable(text)
     return f"{text}." if text.endswith("\\") else text
 

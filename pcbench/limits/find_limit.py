@@ -229,11 +229,11 @@ def _run(
 ) -> Result:
     """Run all supported combinations; if a design fails, leave out the observers without gains and try again."""
     while True:
-        grid = _grid(q, values, refusals)
-        cells = _by_value(q, grid.cells)
+        study_grid = _grid(q, values, refusals)
+        cells = _by_value(q, study_grid.cells)
         new_seeds = {cell.digest: seeds[v] for v, cell in cells.items() if v in seeds}
         try:
-            return run_study.execute(grid, folder, options._replace(min_seeds=new_seeds))
+            return run_study.execute(study_grid, folder, options._replace(min_seeds=new_seeds))
         except DesignError:
             failures = {(o, v): _without_gains(cell, o) for v, cell in cells.items() for o in cell.options}
             if not any(failures.values()):

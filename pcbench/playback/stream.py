@@ -104,7 +104,7 @@ def init_runners(p: PlaybackSetup, with_score: bool, seed: int) -> list[Runner]:
 
 
 def through(
-    runners: list[Runner], parts: Iterable[Part], back: int, ends: Ints
+    runners: list[Runner], recording_parts: Iterable[Part], back: int, ends: Ints
 ) -> Iterator[tuple[Part, dict[str, TickOutputs]]]:
     """Run observers through a recording; yield each part with their outputs while the next one is computed.
 
@@ -122,7 +122,7 @@ def through(
     previous: Part | None = None
     work: list[Future[tuple[Runner, TickOutputs]]] = []
     with thread_pools.pool(min(len(runners), runner.cores())) as threads:
-        for part in chain(parts, [None]):
+        for part in chain(recording_parts, [None]):
             results = [future.result() for future in work]
             runners[:] = [o for o, _ in results] or runners
             work = [threads.submit(runner.in_float64, advance, o, part) for o in runners if part]

@@ -56,7 +56,7 @@ def open_replay(folder: str | Path) -> Replay:
     try:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         schema = pq.read_schema(folder / ESTIMATES)
-        innovations = pq.read_schema(folder / INNOVATIONS).names
+        innovation_names = pq.read_schema(folder / INNOVATIONS).names
         smoothed_signals = pq.read_schema(folder / SMOOTHED).names[1:] if (folder / SMOOTHED).exists() else []
         observers = list(summary["certificates"])
     except (OSError, ValueError, KeyError) as error:
@@ -73,7 +73,7 @@ def open_replay(folder: str | Path) -> Replay:
         folder=folder,
         summary=summary,
         observers=observers,
-        with_innovations=[o for o in observers if f"{o}.innovation" in innovations],
+        with_innovations=[o for o in observers if f"{o}.innovation" in innovation_names],
         units=units,
         truth=[name for name in units if name in schema.names],
         smoothed=smoothed_signals,

@@ -316,29 +316,29 @@ def delay_profiles(found: Sequence[ChannelDelay], *, paper: Paper = PAPER) -> Fi
         axes,
     ):
         for ax, delay in zip(axes, found, strict=True):
-            delays, drops = np.array(delay.delays), np.array(delay.drops)
+            profile_delays, drops = np.array(delay.delays), np.array(delay.drops)
             mask = drops <= max(DROP, np.sort(drops)[min(4, len(drops) - 1)])
-            set_range(ax, "x", [*delays[mask], delay.low, delay.high])
+            set_range(ax, "x", [*profile_delays[mask], delay.low, delay.high])
             set_range(ax, "y", [0.0, *drops[mask]], log=False)
             ax.axvspan(delay.low, delay.high, color=GRID, linewidth=0, zorder=1)
             ax.axvline(delay.estimate, color=SOFT, linewidth=0.6, zorder=1.2)
             colour = LOOKS["kf"].colour
-            if len(delays) > 3:
-                fine = np.linspace(delays[mask][0], delays[mask][-1], 200)
-                ax.plot(fine, CubicSpline(delays, drops)(fine), color=colour, linewidth=1.2)
-            ax.plot(delays[mask], drops[mask], color=colour, marker="o", markersize=3, linestyle="none")
+            if len(profile_delays) > 3:
+                fine = np.linspace(profile_delays[mask][0], profile_delays[mask][-1], 200)
+                ax.plot(fine, CubicSpline(profile_delays, drops)(fine), color=colour, linewidth=1.2)
+            ax.plot(profile_delays[mask], drops[mask], color=colour, marker="o", markersize=3, linestyle="none")
             ax.invert_yaxis()
             low, best, high = (layout.number(v) for v in (delay.low, delay.estimate, delay.high))
             ax.set(title=f"{delay.channel}: {best} s, 95 % interval {low} to {high} s", xlabel="delay [s]")
     return figure
 
 
-def edges_of(delays: NDArray[np.float64]) -> NDArray[np.float64]:
+def edges_of(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the edges of about BINS bars, each as wide as a whole number of the delays' smallest difference.
 
     So every bar contains the same number of ticks if delays are whole ticks.
     """
-    values = np.unique(delays)
+    values = np.unique(sizes)
     step = float(np.diff(values).min()) if len(values) > 1 else max(float(values[0]) / BINS, 1e-3)
     width = step * max(np.ceil((values[-1] - values[0]) / step / BINS), 1)
     first = values[0] - step / 2

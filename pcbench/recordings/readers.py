@@ -335,7 +335,7 @@ def _table(columns: dict[str, Column], kind: Format, source: Source, section: st
                     f"{source.where}: {section}.{name}: got {key}, expected it of channels alone; {remedy}."
                 )
         groups.setdefault((c.topic, c.frame, c.t, c.period), {})[name] = c
-    tables = []
+    topic_tables = []
     for group in groups.values():
         c = next(iter(group.values()))
         stamp, times = _stamps(c, c.t, kind, f"{source.where}: {section}")
@@ -353,5 +353,5 @@ def _table(columns: dict[str, Column], kind: Format, source: Source, section: st
             times={each for each in [stamp] if each},
             default_stamp=c.t is None,
         )
-        tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {section}"))
-    return merge(tables, list(columns), hold=section == "inputs")
+        topic_tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {section}"))
+    return merge(topic_tables, list(columns), hold=section == "inputs")

@@ -170,14 +170,14 @@ def as_tables(
     """Return samples, inputs (t [K], u [K, m]) and truth (names, t [K], x [K, n]) as tables, by the names of their files."""
     names = pa.array(channels).take(pa.array(samples.channel))
     arrived = pa.array(samples.arrived, mask=np.isnan(samples.arrived))
-    columns = {"channel": names, "sampled": samples.sampled, "arrived": arrived, "value": samples.value}
-    columns |= {"std": samples.std} if np.isfinite(samples.std).any() else {}
+    measurement_columns = {"channel": names, "sampled": samples.sampled, "arrived": arrived, "value": samples.value}
+    measurement_columns |= {"std": samples.std} if np.isfinite(samples.std).any() else {}
     wide: dict[str, tuple[Sequence[str], Floats, Floats]] = {}
     if inputs is not None:
         wide["inputs"] = [f"u{i + 1}" for i in range(inputs[1].shape[1])], *inputs
     if truth is not None:
         wide["truth"] = truth
-    return {"measurements": pa.table(columns)} | {
+    return {"measurements": pa.table(measurement_columns)} | {
         kind: pa.table({"t": t} | {name: np.ascontiguousarray(v) for name, v in zip(names, values.T, strict=True)})
         for kind, (names, t, values) in wide.items()
     }

@@ -147,7 +147,7 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
     """Return the locations of the values of ranks [R], 0 .. n - 1."""
     if order.splitters is None:
         return Search(np.zeros((0, 0)), [], np.zeros((0, 0), np.int64), np.zeros((0, 0)))
-    gaps, positions, values = [], [], []
+    gaps, gap_ranks, values = [], [], []
     for splitters, below, upto in zip(order.splitters, order.below, order.upto, strict=True):
         j = np.searchsorted(upto, ranks, side="right")  # the first splitter with more than `rank` values up to it
         index = np.minimum(j, len(splitters) - 1)
@@ -157,9 +157,9 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
         sizes = np.append(below, order.n)[row_gaps] - np.where(row_gaps > 0, upto[row_gaps - 1], 0)
         offset = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(row_gaps, j)]  # values in lower gaps
         gaps.append(row_gaps)
-        positions.append(np.where(between, ranks - first + offset, -1))
+        gap_ranks.append(np.where(between, ranks - first + offset, -1))
         values.append(splitters[index])
-    return Search(order.splitters, gaps, np.stack(positions), np.stack(values))
+    return Search(order.splitters, gaps, np.stack(gap_ranks), np.stack(values))
 
 
 def collect(search: Search, values: Values) -> list[Values]:

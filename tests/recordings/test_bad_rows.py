@@ -7,7 +7,7 @@ import pytest
 from logged import MOTOR, plain, rows
 
 import pcbench
-from pcbench.cli.render.recordings import odd
+from pcbench.cli.render.recordings import describe_irregularities
 from pcbench.errors import UserError
 from pcbench.playback.replay import describe_out_of_sequence
 from pcbench.recordings import readers, tables
@@ -52,7 +52,7 @@ def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     found = survey(log)
     (row,) = channel_rows(found)
     assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
-    assert "1 out-of-sequence sample, the first in row 9" in odd(row)
+    assert "1 out-of-sequence sample, the first in row 9" in describe_irregularities(row)
     assert describe_out_of_sequence(found)[0].startswith(
         "row 9 of channel y1 is out-of-sequence, the first of 1: each is used"
     )

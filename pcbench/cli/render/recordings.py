@@ -55,20 +55,21 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
 def print_contents(name: str, rows: Sequence[Mapping[str, Any]], problems: Sequence[str], screen: Screen) -> None:
     """Print the contents of a file: one table per topic, one row per field."""
     for _, group in groupby(rows, key=lambda row: (row["topic"], row["frame"])):
-        fields = list(group)
-        first = fields[0]
+        topic_rows = list(group)
+        first = topic_rows[0]
         where = " ".join(filter(None, [name, first["topic"], first["frame"], f"({first['kind']}),"]))
         start, end = first["first"], first["last"]
         span = "" if math.isnan(start) else f", {end - start:.6g} s from {start:.10g} s"
         notes = [
-            "constant" if row["constant"] else f"{row['repeats']} repeated" if row["repeats"] else "" for row in fields
+            "constant" if row["constant"] else f"{row['repeats']} repeated" if row["repeats"] else ""
+            for row in topic_rows
         ]
         columns = [
-            Column("field", [row["field"] for row in fields], is_text=True),
-            Column("values", [f"{row['rows'] - row['missing']:,}" for row in fields]),
-            Column("rate\n[1/s]", [_number(row["rate"]) for row in fields]),
-            Column("least", [format_number(row["least"], ".6g") for row in fields]),
-            Column("most", [format_number(row["most"], ".6g") for row in fields]),
+            Column("field", [row["field"] for row in topic_rows], is_text=True),
+            Column("values", [f"{row['rows'] - row['missing']:,}" for row in topic_rows]),
+            Column("rate\n[1/s]", [_number(row["rate"]) for row in topic_rows]),
+            Column("least", [format_number(row["least"], ".6g") for row in topic_rows]),
+            Column("most", [format_number(row["most"], ".6g") for row in topic_rows]),
             Column("note", notes, is_text=True),
         ]
         title = f"{where} {first['rows']:,} rows{span}"
