@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from pcbench.engine.interpreter import vmap_entrywise
-from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner
+from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner_programs
 from pcbench.engine.lane_array import is_lanes, join, split
 from pcbench.errors import UserError, brief_repr, describe_exception
 
@@ -39,7 +39,7 @@ def program(f: Callable[[Any], PyTree], args: PyTree) -> Program:
     for part in _parts(closed_jaxpr.jaxpr):
         for eqn in part.eqns:
             literals += [v.val for v in eqn.invars if isinstance(v, Literal)]
-            literals += [const for p in inner(eqn.params) if isinstance(p, ClosedJaxpr) for const in p.consts]
+            literals += [const for p in inner_programs(eqn.params) if isinstance(p, ClosedJaxpr) for const in p.consts]
     numbers = tuple(np.asarray(x) for x in (*closed_jaxpr.consts, *literals) if np.size(x))
     return Program(re.sub(r"0x[0-9a-f]+", "", str(closed_jaxpr.jaxpr)), numbers, closed_jaxpr.jaxpr)
 
@@ -48,7 +48,7 @@ def _parts(jaxpr: Any) -> Iterator[Any]:
     """Yield a program and all programs inside it."""
     yield jaxpr
     for eqn in jaxpr.eqns:
-        for inner_jaxpr in inner(eqn.params):
+        for inner_jaxpr in inner_programs(eqn.params):
             yield from _parts(getattr(inner_jaxpr, "jaxpr", inner_jaxpr))
 
 

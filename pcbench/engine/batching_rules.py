@@ -13,8 +13,8 @@ from pcbench.engine import jaxpr_compat, kernels
 from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
-WAYS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
-FOLDS = dict(zip(jaxpr_compat.FOLDS, WAYS, strict=True))
+OPERATIONS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
+FOLD_OPERATIONS = dict(zip(jaxpr_compat.FOLDS, OPERATIONS, strict=True))
 
 
 def entries_of(x: PyTree, shape: tuple[int, ...]) -> np.ndarray:
@@ -32,12 +32,11 @@ def elementwise(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
         entries = [p[i] for p in parts]
-        width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
-        keep = eqn.primitive.name == "select_n" and not jnp.ndim(
-            entries[0]
-        )  # a choice common to all lanes stays a scalar
-        first = entries[:1] if keep else []
-        out[i] = kernels.function_of(eqn)(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]))
+        lane_shape = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
+        # a choice common to all lanes stays a scalar
+        is_common_choice = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])
+        first = entries[:1] if is_common_choice else []
+        out[i] = kernels.function_of(eqn)(*first, *(jnp.broadcast_to(e, lane_shape) for e in entries[len(first) :]))
     return LaneArray(out)
 
 
@@ -45,28 +44,27 @@ def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     """Apply a primitive that moves numbers to the positions of the entries."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
-    width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
+    lane_shape = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
+    sources = source_indices(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(shapes))
     return [
-        lanes_of(sources.shape, [jnp.broadcast_to(entries[p], width) for p in sources.flat])
-        if sources.size
-        else jnp.zeros(sources.shape, v.aval.dtype)  # an empty result cannot differ between lanes
-        for sources, v in zip(
-            places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(shapes)), eqn.outvars, strict=True
-        )
+        lanes_of(index.shape, [jnp.broadcast_to(entries[i], lane_shape) for i in index.flat])
+        if index.size
+        else jnp.zeros(index.shape, v.aval.dtype)  # an empty result cannot differ between lanes
+        for index, v in zip(sources, eqn.outvars, strict=True)
     ]
 
 
 @cache
-def places(
+def source_indices(
     primitive: PyTree, params: tuple[tuple[str, PyTree], ...], shapes: tuple[tuple[int, ...], ...]
 ) -> list[np.ndarray]:
     """Return the source entry of each entry of each result: the primitive applied to the entries' indices."""
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     with jax.ensure_compile_time_eval():
-        numbers = [
+        indices = [
             jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
         ]
-        results = primitive.bind(*numbers, **dict(params))
+        results = primitive.bind(*indices, **dict(params))
     return [np.asarray(result) for result in (results if primitive.multiple_results else [results])]
 
 
@@ -76,14 +74,14 @@ def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     free = tuple(i for i in range(parts.ndim) if i not in axes)
     flat = parts.transpose(*free, *axes).reshape(*(parts.shape[i] for i in free), -1)
     shape = flat.shape[:-1]
-    return lanes_of(shape, [reduce(FOLDS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
+    return lanes_of(shape, [reduce(FOLD_OPERATIONS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
 
 
 def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     """Write a matrix product as products and sums."""
-    (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
+    (ca, cb), (ba, bb) = jaxpr_compat.dot_axes(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
-    out = eqn.outvars[0].aval.shape
+    shape = eqn.outvars[0].aval.shape
     inner = int(np.prod([shapes[0][i] for i in ca]))
     lhs, rhs = (entries_of(a, s) for a, s in zip(args, shapes, strict=True))
 
@@ -99,13 +97,13 @@ def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
         for i in range(a.shape[1])
         for j in range(b.shape[1])
     ]
-    return lanes_of(out, sums)
+    return lanes_of(shape, sums)
 
 
 def _pairwise(apply: Any, a: PyTree, b: PyTree) -> PyTree:
     """Apply a primitive to two entries, of which one may be common to all lanes."""
-    width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
-    return apply(jnp.broadcast_to(a, width), jnp.broadcast_to(b, width))
+    lane_shape = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
+    return apply(jnp.broadcast_to(a, lane_shape), jnp.broadcast_to(b, lane_shape))
 
 
 def rows_of_table(eqn: Eqn, args: list[PyTree]) -> LaneArray:
@@ -113,7 +111,7 @@ def rows_of_table(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     table, index = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
     gather = columns.at[:, jnp.stack(list(index.flat))]
-    rows = gather.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is no last row
+    rows = gather.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is not the last row
     shape = eqn.outvars[0].aval.shape
     return lanes_of(shape, [rows[e, r] for r in range(index.size) for e in range(columns.shape[0])])
 

@@ -14,31 +14,31 @@ from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
-from pcbench.engine.steps import Happen, any_is_notified, jump, measure, notify_sampled, snapshot
+from pcbench.engine.steps import ApplyEvents, any_is_notified, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurements
 from pcbench.simulation.measurements import Noise
 from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packet, PerLane, Snapshots, State
 
 
-def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
+def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[ApplyEvents, State]:
     """Return the function that applies a tick's events to a block of runs, and the state before tick 0."""
     noise = measurements.noise_sampler(p, root_seed, seeds, barrier=True)
-    state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
-    return partial(happen, layout, p, noise), state
+    state = with_rings(layout, p, noise, begin(layout, p, root_seed, seeds))
+    return partial(apply_events, layout, p, noise), state
 
 
-def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> State:
+def with_rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> State:
     """Return the state with rings of ring + 1 packets, including packets taken before tick 0, which measure x(0).
 
     A packet whose assumed sampling tick is before tick 0 carries the snapshot of the initial state.
     """
-    one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
+    value_forms, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, snapshots = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
     def write(rings: PyTree, packet: tuple[Array, Array]) -> tuple[PyTree, None]:
         place, numbers = packet
         draws = lane_array.split(noise(channels, numbers))
-        y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, draws), one, layout.width)
+        y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, draws), value_forms, layout.width)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
 
     if count := p.schedule.early.shape[0]:
@@ -46,13 +46,13 @@ def rings(layout: Layout, p: GridPointParams, noise: Noise, state: State) -> Sta
     return state._replace(flight=Packet(values, snapshots))
 
 
-def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: State) -> State:
+def apply_events(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: State) -> State:
     """Apply all events of tick k: sample and snapshot, then deliver, the oldest packet first.
 
     Only one packet passes through a `cond`, never the ring, which `cond` would copy. If there is no packet, the last ring
     entry is written, which nothing reads.
     """
-    plan, channels = p.schedule, list(range(p.noise_std.shape[0]))
+    schedule, channels = p.schedule, list(range(p.noise_std.shape[0]))
 
     def write(rings: PyTree, number: Array, make: Any) -> PyTree:
         last = jax.tree.map(lambda ring: ring[layout.ring], rings)
@@ -61,34 +61,33 @@ def happen(layout: Layout, p: GridPointParams, noise: Noise, k: Array, state: St
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
     def sense() -> PerLane:
-        return measure(layout, p, k, state, lane_array.split(noise(channels, plan.sample[k])))
+        return measure(layout, p, k, state, lane_array.split(noise(channels, schedule.sample[k])))
 
     def take_snapshots() -> Snapshots:
         return snapshot(layout, p, k, state)
 
     values, snapshots = state.flight
-    flight = Packet(write(values, plan.sense[k], sense), write(snapshots, plan.snapshot[k], take_snapshots))
-    for i in range(plan.extra_snapshots.shape[1]):
-        flight = flight._replace(snapshots=write(flight.snapshots, plan.extra_snapshots[k, i], take_snapshots))
+    flight = Packet(write(values, schedule.sense[k], sense), write(snapshots, schedule.snapshot[k], take_snapshots))
+    for i in range(schedule.extra_snapshots.shape[1]):
+        flight = flight._replace(snapshots=write(flight.snapshots, schedule.extra_snapshots[k, i], take_snapshots))
 
     def notify_observers() -> PyTree:
-        return lane_array.match_form(
-            notify_sampled(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width
-        )
+        memories = notify_sampled(layout, p, k, state, schedule.sample[k] >= 0)
+        return lane_array.match_form(memories, state.memories, layout.width)
 
     def deliver(slot: Array, memories: PyTree) -> PyTree:
-        number = plan.arrive[k, slot]
+        number = schedule.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
-        mask, age = plan.mask[k, slot], jnp.full(plan.mask[k, slot].shape, k - plan.timestamp[k, slot])
-        row = ArrivalInfo(mask, age, plan.number[k, slot], plan.ticks_since_arrival[k, slot])
+        mask, age = schedule.mask[k, slot], jnp.full(schedule.mask[k, slot].shape, k - schedule.timestamp[k, slot])
+        info = ArrivalInfo(mask, age, schedule.number[k, slot], schedule.ticks_since_arrival[k, slot])
 
         def use_packet(memories: PyTree) -> PyTree:
-            new = jump(layout, p, k, state._replace(memories=memories), row, packet)
+            new = jump(layout, p, k, state._replace(memories=memories), info, packet)
             return lane_array.match_form(new, memories, layout.width)
 
         return lax.cond(number >= 0, use_packet, lambda memories: memories, memories)
 
     if any_is_notified(layout):
-        state = state._replace(memories=lax.cond(plan.sense[k] >= 0, notify_observers, lambda: state.memories))
-    memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
+        state = state._replace(memories=lax.cond(schedule.sense[k] >= 0, notify_observers, lambda: state.memories))
+    memories = lax.fori_loop(0, schedule.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)

@@ -21,10 +21,10 @@ from pcbench.simulation.schedule.random_times import ClockParams
 from pcbench.simulation.types import GridPointParams, Layout, Memories, RunSums, State
 
 
-class Events(NamedTuple):
+class EventFunctions(NamedTuple):
     """The functions that apply events, and the packing of memories between them."""
 
-    happen: steps.Happen
+    apply: steps.ApplyEvents
     next_event: Callable[[Array, State], Array]  # (tick, state after its events) -> tick of the next event
     unpack: Callable[[PyTree], Memories] = lambda memories: memories  # packed -> the observers' memories
     # (after a flow, packed before it) -> packed
@@ -49,7 +49,7 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
         return new._replace(memories=events.repack(new.memories, state.memories))
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
-        state = events.happen(k, state)  # a window edge without an event changes nothing
+        state = events.apply(k, state)  # a window edge without an event changes nothing
         next_event = events.next_event(k, state)
         stop = jnp.minimum(jnp.minimum(next_event, edge), end)  # the last tick has events but no flow
         state = lax.fori_loop(k, stop, tick, state)  # one tick per body: two would draw the noise twice
@@ -82,12 +82,12 @@ def _simulate(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
     return out._replace(streams=streams, tracking=tracking, effort=effort)
 
 
-def _events(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
+def _events(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[EventFunctions, State]:
     """Return the events of a block of runs, on a common schedule or random ones, and the state before tick 0."""
     if isinstance(p.schedule, ClockParams):
         events, state = random_schedules.prepare(layout, p, root_seed, seeds)
         packing = events.memory_packing
-        return Events(events.happen, events.next_event, packing.unpack, packing.repack), state
-    happen, state = common_schedule.prepare(layout, p, root_seed, seeds)
-    plan = p.schedule
-    return Events(happen, lambda k, state: plan.next_event[k]), state
+        return EventFunctions(events.apply, events.next_event, packing.unpack, packing.repack), state
+    apply, state = common_schedule.prepare(layout, p, root_seed, seeds)
+    schedule = p.schedule
+    return EventFunctions(apply, lambda k, state: schedule.next_event[k]), state

@@ -40,7 +40,7 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
     loop = vmap_entrywise(partial(first_loop_state, layout, p))(memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
-        plant_draws=drawn_numbers(layout, root_seed, seeds),
+        plant_draws=draw_plant_numbers(layout, root_seed, seeds),
         memories=memories,
         flight=(),
         streams={},
@@ -50,15 +50,15 @@ def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) ->
         law=loop.law,
         effort=loop.effort,
     )
-    size = {label: xhat.shape[0] + layout.plant.scored for label, xhat in steps.estimates(layout, p, state).items()}
+    sizes = {label: xhat.shape[0] + layout.plant.scored for label, xhat in steps.estimates(layout, p, state).items()}
     state = state._replace(
         flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.snapshot(layout, p, k, state)),
-        streams={label: metrics.zero_sums(n) for label, n in size.items()},
-        watches=simulate_runs.initial_settling_states(layout, size),
+        streams={label: metrics.zero_sums(n) for label, n in sizes.items()},
+        watches=simulate_runs.initial_settling_states(layout, sizes),
     )
     ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
     ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))
-    return _spread(layout, p, ready, tick_sampler(layout, p, root_seed, seeds)(k))
+    return _broadcast(layout, p, ready, tick_sampler(layout, p, root_seed, seeds)(k))
 
 
 def _tables(commands: command_network.Commands) -> command_network.Commands:
@@ -77,7 +77,7 @@ def _plant(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -
     return vmap_entrywise(lambda v: p.x0 + p.spread0 @ v)(lane_array.split(normal))
 
 
-def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> PyTree:
+def draw_plant_numbers(layout: Layout, root_seed: Array, seeds: Array) -> PyTree:
     """Return the uniform numbers that each run draws for its plant; (): none."""
     if not layout.drifting:
         return ()
@@ -109,37 +109,35 @@ def _memories(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array
     return vmap_entrywise(init_from_words)(start, words, xhat0)
 
 
-def _spread(layout: Layout, p: GridPointParams, state: State, tick_noise: steps.TickNoise) -> State:
+def _broadcast(layout: Layout, p: GridPointParams, state: State, tick_noise: steps.TickNoise) -> State:
     """Broadcast every value that a tick with sample, snapshot and jump makes different between lanes, to a fixed point."""
-    q, k, width, random = p.noise_std.shape[0], jnp.asarray(0), layout.width, isinstance(p.schedule, ClockParams)
-    row: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
+    q, k, width, is_random = p.noise_std.shape[0], jnp.asarray(0), layout.width, isinstance(p.schedule, ClockParams)
+    info: PyTree = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
     has_arrival: PyTree = jnp.asarray(True)  # whether a lane has an arrival
-    if random:
-        row, has_arrival = jax.tree.map(lambda a: lane_array.broadcast(a, width), (row, has_arrival))
+    if is_random:
+        info, has_arrival = jax.tree.map(lambda a: lane_array.broadcast(a, width), (info, has_arrival))
 
-    def events(state: State, noise: PerLane, row: ArrivalInfo, has_arrival: Array) -> State:
+    def events(state: State, noise: PerLane, info: ArrivalInfo, has_arrival: Array) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.snapshot(layout, p, k, state))
         old = state.memories
         if steps.any_is_notified(layout):
-            state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.mask))
-        new = steps.jump(layout, p, k, state, row, packet)
+            state = state._replace(memories=steps.notify_sampled(layout, p, k, state, info.mask))
+        new = steps.jump(layout, p, k, state, info, packet)
         memories = jax.tree.map(lambda a, b: a if a is b or not a.size else jnp.where(has_arrival, a, b), new, old)
         return state._replace(memories=memories, flight=packet)
 
     noise = lane_array.split(jnp.zeros((q, width)))
-    happen, event_forms, _ = lane_forms.trace_lane(events, state, noise, row, has_arrival)
-    tick, tick_forms, _ = lane_forms.trace_lane(partial(steps.tick, layout, p, k), state, tick_noise)
+    event_program, event_forms, _ = lane_forms.trace_lane(events, state, noise, info, has_arrival)
+    tick_program, tick_forms, _ = lane_forms.trace_lane(partial(steps.tick, layout, p, k), state, tick_noise)
     leaves, tree = jax.tree.flatten(state, is_leaf=lane_array.is_lanes)
     n_leaves = len(leaves)
 
     def step(forms: lane_forms.Forms) -> lane_forms.Forms:
-        forms = lane_forms.forms_of(happen, [*forms, *event_forms[n_leaves:]])
-        return lane_forms.forms_of(tick, [*forms, *tick_forms[n_leaves:]])
+        forms = lane_forms.forms_of(event_program, [*forms, *event_forms[n_leaves:]])
+        return lane_forms.forms_of(tick_program, [*forms, *tick_forms[n_leaves:]])
 
-    forms = lane_forms.spread(step, event_forms[:n_leaves])
-    long = [
-        len(x.shape) > 0 and x.shape[0] >= lane_forms.MANY for x in leaves
-    ]  # leaves stored as tables with their rows together
-    forms = [lane_array.TABLE if form and is_long else form for form, is_long in zip(forms, long, strict=True)]
+    forms = lane_forms.fixed_point(step, event_forms[:n_leaves])
+    is_long = [len(x.shape) > 0 and x.shape[0] >= lane_forms.TABLE_ROWS for x in leaves]
+    forms = [lane_array.TABLE if form and long else form for form, long in zip(forms, is_long, strict=True)]
     wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
     return jax.tree.unflatten(tree, wide)

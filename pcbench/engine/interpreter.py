@@ -82,18 +82,18 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
 
 def _apply_vmap(program: ClosedJaxpr, args: list[PyTree]) -> list[PyTree]:
     """Apply a function as one unit by vmap; results common to all lanes stay so, long ones become tables."""
-    differs = lane_forms.forms_of(program, list(map(form_of, args)))
+    forms = lane_forms.forms_of(program, list(map(form_of, args)))
     axes = [-1 if is_lanes(a) else None for a in args]
     apply = jax.vmap(
-        lambda *a: _evaluate(program.jaxpr, program.consts, list(a)), axes, [-1 if d else None for d in differs]
+        lambda *a: _evaluate(program.jaxpr, program.consts, list(a)), axes, [-1 if form else None for form in forms]
     )
     results = apply(*(join(a) if is_lanes(a) else a for a in args))
-    return [_split_table(x) if d else x for x, d in zip(results, differs, strict=True)]
+    return [_split_table(x) if form else x for x, form in zip(results, forms, strict=True)]
 
 
 def _split_table(x: jax.Array) -> PyTree:
     """Return a LaneArray from an array [*shape, L], as a table if it has many rows."""
-    if x.ndim < 2 or x.shape[0] < lane_forms.MANY:
+    if x.ndim < 2 or x.shape[0] < lane_forms.TABLE_ROWS:
         return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)
     return lanes_of(x.shape[1:-1], [x[:, *i] for i in np.ndindex(x.shape[1:-1])], x.shape[0])
 
@@ -103,9 +103,8 @@ def _scan(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
     scan = jaxpr_compat.scan(eqn.params)
     body, consts, carry = scan.body, scan.consts, scan.carry
     width, (forms, _) = _width(args), lane_forms.scan_forms(scan, list(map(form_of, args)))
-    rows = [
-        LaneArray(table(a).parts) if is_lanes(a) else a for a in args[consts + carry :]
-    ]  # the scan splits it into rows
+    # the scan splits these into rows
+    rows = [LaneArray(table(a).parts) if is_lanes(a) else a for a in args[consts + carry :]]
 
     def step(state: list[PyTree], row: list[PyTree]) -> tuple[list[PyTree], list[PyTree]]:
         out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
@@ -184,6 +183,6 @@ def _apply_to_arrays(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]
 
 _RULES = (
     dict.fromkeys(ELEMENTWISE, batching_rules.elementwise)
-    | dict.fromkeys(batching_rules.FOLDS, batching_rules.fold)
+    | dict.fromkeys(batching_rules.FOLD_OPERATIONS, batching_rules.fold)
     | {"dot_general": batching_rules.dot}
 )

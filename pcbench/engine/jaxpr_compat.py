@@ -24,7 +24,7 @@ EqnParams = dict[str, Any]
 NEWEST = (0, 12)  # newest supported release of jax
 
 
-def is_known() -> bool:
+def is_supported() -> bool:
     """Return whether the installed jax is not newer than `NEWEST`."""
     return tuple(jax.__version_info__[:2]) <= NEWEST
 
@@ -48,7 +48,7 @@ class Scan(NamedTuple):
     consts: int
     carry: int
     length: int
-    options: EqnParams  # what jax.lax.scan takes besides
+    options: EqnParams  # further arguments of jax.lax.scan
 
 
 class While(NamedTuple):
@@ -111,15 +111,15 @@ def fold_axes(params: EqnParams) -> tuple[int, ...]:
     return tuple(params["axes"])
 
 
-def products_of(params: EqnParams) -> tuple[Any, Any]:
+def dot_axes(params: EqnParams) -> tuple[Any, Any]:
     """Return a dot_general's axes: ((contracted of a, of b), (batch of a, of b))."""
     contract, batch = params["dimension_numbers"]
     return contract, batch
 
 
-def products(eqn: Eqn) -> int:
+def product_count(eqn: Eqn) -> int:
     """Return the number of products of a dot_general."""
-    (contract, _), _ = products_of(eqn.params)
+    (contract, _), _ = dot_axes(eqn.params)
     return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
@@ -145,7 +145,7 @@ def param(eqn: Eqn, name: str) -> Any:
 
 def expansion(eqn: Eqn) -> Any:
     """Return the only closed program among an equation's parameters if its arguments and results match the equation's."""
-    programs = [p if hasattr(p, "consts") else ClosedJaxpr(p, ()) for p in inner(eqn.params)]
+    programs = [p if hasattr(p, "consts") else ClosedJaxpr(p, ()) for p in inner_programs(eqn.params)]
     if len(programs) != 1:
         return None
     (only,) = programs
@@ -162,7 +162,7 @@ def parameter_items(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
     return tuple(eqn.params.items())
 
 
-def inner(params: EqnParams) -> list[Any]:
+def inner_programs(params: EqnParams) -> list[Any]:
     """Return every program among an equation's parameters, closed or not."""
     values = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
     return [v for v in values if isinstance(v, ClosedJaxpr | Jaxpr)]

@@ -49,8 +49,8 @@ COSINE = (
     2.08757232129817482790e-09,
     -1.13596475577881948265e-11,
 )
-LARGEST = 1e12  # rad
-WRITTEN_OUT = 128  # products in one dot_general; larger ones use vmap, which compiles faster and runs as fast
+LARGEST_ANGLE = 1e12  # rad
+MOST_PRODUCTS = 128  # products in one dot_general; larger ones use vmap, which compiles faster and runs as fast
 
 
 _ZERO: ContextVar[Array | None] = ContextVar("zero", default=None)
@@ -74,7 +74,7 @@ def product(a: Array, b: Array) -> Array:
 
 def is_written_out(eqn: Eqn) -> bool:
     """Return whether a dot_general is written as products and sums."""
-    return jaxpr_compat.products(eqn) <= WRITTEN_OUT
+    return jaxpr_compat.product_count(eqn) <= MOST_PRODUCTS
 
 
 def dot(a: Array, b: Array, dimension_numbers: Any) -> Array:
@@ -110,18 +110,17 @@ def cos(x: Array) -> Array:
 
 def _sine_of_quarters(x: Array, quarters: float) -> Array:
     """Return the sine of an angle plus a number of quarter turns."""
-    x = lax.clamp(-LARGEST, x, LARGEST)
+    x = lax.clamp(-LARGEST_ANGLE, x, LARGEST_ANGLE)
     n = jnp.round(_times(1 / (PI_2[0] + PI_2[1]), x))
     high, low = x - _times(PI_2[0], n), _times(PI_2[1], n)
     r = high - low
     t = (high - r) - low - _times(PI_2[2], n)
     n = n + quarters
-    quarter = n - _times(
-        4.0, jnp.floor(_times(0.25, n))
-    )  # 0 to 3, as a float, for which every processor has vector instructions
+    # 0 to 3, as a float, for which every processor has vector instructions
+    quarter = n - _times(4.0, jnp.floor(_times(0.25, n)))
     is_odd = (quarter == 1.0) | (quarter == 3.0)
-    size = jnp.where(is_odd, _cosine(r, t), _sine(r, t))
-    return jnp.where(quarter >= 2.0, -size, size)
+    magnitude = jnp.where(is_odd, _cosine(r, t), _sine(r, t))
+    return jnp.where(quarter >= 2.0, -magnitude, magnitude)
 
 
 def _sine(r: Array, t: Array) -> Array:

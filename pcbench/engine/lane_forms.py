@@ -15,7 +15,7 @@ from pcbench.engine.jaxpr_compat import CALLS, STRUCTURAL, ClosedJaxpr, Eqn, Lit
 from pcbench.engine.lane_array import ENTRIES, SAME, TABLE, form_of, is_lanes
 from pcbench.protocols import UNIT_NAME
 
-MANY = 32  # rows from which on a result of `vmap_as_unit` is stored as a table
+TABLE_ROWS = 32  # rows from which on a result of `vmap_as_unit` is stored as a table
 Forms = Sequence[int]
 
 
@@ -43,12 +43,9 @@ def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
     name = eqn.primitive.name
     if name in CALLS:
         forms = forms_of(jaxpr_compat.callee(eqn.params), args)
-        is_unit = jaxpr_compat.callee_name(eqn.params) == UNIT_NAME
-        return (
-            [_as_unit(v.aval) if form else SAME for v, form in zip(eqn.outvars, forms, strict=True)]
-            if is_unit
-            else forms
-        )
+        if jaxpr_compat.callee_name(eqn.params) != UNIT_NAME:
+            return forms
+        return [_unit_form(v.aval) if form else SAME for v, form in zip(eqn.outvars, forms, strict=True)]
     if is_one_row(eqn, args):
         return [TABLE if name == "dynamic_update_slice" else ENTRIES]
     if name == "scan" and (scan := jaxpr_compat.scan(eqn.params)).length:
@@ -59,9 +56,9 @@ def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
     return [SAME if not v.aval.size and name in STRUCTURAL else ENTRIES for v in eqn.outvars]
 
 
-def _as_unit(aval: Any) -> int:
+def _unit_form(aval: Any) -> int:
     """Return the form of a result of a function applied as one unit."""
-    if aval.shape and aval.shape[0] >= MANY:
+    if aval.shape and aval.shape[0] >= TABLE_ROWS:
         return TABLE
     return ENTRIES if aval.size else SAME
 
@@ -78,9 +75,10 @@ def is_one_row(eqn: Eqn, args: Forms) -> bool:
 
 def scan_forms(scan: jaxpr_compat.Scan, args: Forms) -> tuple[Forms, Forms]:
     """Return the forms of a scan's carries, and of one row of its other results."""
-    consts, rows = args[: scan.consts], by_entries(args[scan.consts + scan.carry :])
+    first, second = scan.consts, scan.consts + scan.carry
+    consts, carry, rows = args[:first], by_entries(args[first:second]), by_entries(args[second:])
     body = lambda state: forms_of(scan.body, [*consts, *state, *rows])  # noqa: E731
-    state = spread(lambda state: body(state)[: scan.carry], by_entries(args[scan.consts : scan.consts + scan.carry]))
+    state = fixed_point(lambda state: body(state)[: scan.carry], carry)
     return state, body(state)[scan.carry :]
 
 
@@ -88,7 +86,7 @@ def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
     """Return the forms of a while loop's state; None if lanes end it at different times."""
     first, second = loop.cond_consts, loop.cond_consts + loop.body_consts
     cond_consts, body_consts, state = args[:first], args[first:second], by_entries(args[second:])
-    state = spread(lambda state: forms_of(loop.body, [*body_consts, *state]), state)
+    state = fixed_point(lambda state: forms_of(loop.body, [*body_consts, *state]), state)
     return None if any(forms_of(loop.cond, [*cond_consts, *state])) else state
 
 
@@ -97,7 +95,7 @@ def by_entries(forms: Forms) -> list[int]:
     return [min(form, ENTRIES) for form in forms]
 
 
-def spread(step: Callable[[Forms], Forms], state: Forms) -> list[int]:
+def fixed_point(step: Callable[[Forms], Forms], state: Forms) -> list[int]:
     """Return the forms of a state at a fixed point of `step`; a value that differs between lanes, or is a table, stays so."""
     while (wider := [max(pair) for pair in zip(state, step(state), strict=True)]) != list(state):
         state = wider

@@ -61,7 +61,7 @@ class Events(NamedTuple):
 
     layout: Layout
     p: GridPointParams
-    times: ClockParams
+    clocks: ClockParams
     table: EventTable
     samples: Queue
     snapshots: Queue
@@ -75,9 +75,9 @@ class Events(NamedTuple):
         """Return E, the rows of the event table."""
         return len(self.table.arrives)
 
-    def happen(self, k: Array, state: State) -> State:
+    def apply(self, k: Array, state: State) -> State:
         """Apply all events of tick k: sample and snapshot, then deliver, the oldest packet of a run first."""
-        return _deliver(self, k, _take(self, k, state))
+        return _deliver(self, k, _take_samples(self, k, state))
 
     def next_event(self, k: Array, state: State) -> Array:
         """Return the tick of the next event of any run after tick k."""
@@ -88,23 +88,23 @@ class Events(NamedTuple):
 
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0 with packed memories."""
-    times: PyTree = p.schedule
-    plan, zero, state = event_table(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
-    rows, none = len(plan.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
-    samples = _queue(plan.sampling_ticks * rows)
-    shift = times.error * rows
-    snapshots = _queue(plan.timestamp * rows) if times.stamp else samples._replace(time=samples.time - shift)
+    clocks: PyTree = p.schedule
+    table, zero, state = event_table(clocks, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
+    rows, no_noise = len(table.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
+    samples = _queue(table.sampling_ticks * rows)
+    shift = clocks.error * rows
+    snapshots = _queue(table.timestamp * rows) if clocks.stamp else samples._replace(time=samples.time - shift)
     events = Events(
         layout=layout,
         p=p,
-        times=times,
-        table=plan,
+        clocks=clocks,
+        table=table,
         samples=samples,
         snapshots=snapshots,
-        arrivals=_queue(plan.arrives * rows + plan.slot),
-        noise=_noise(p, times, root_seed, seeds),
-        memory_packing=packing.packing(
-            lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories
+        arrivals=_queue(table.arrives * rows + table.slot),
+        noise=_noise(p, clocks, root_seed, seeds),
+        memory_packing=packing.find_packing(
+            lambda m: flow(layout, p, zero, state._replace(memories=m), no_noise).memories, state.memories
         ),
         first_snapshots=snapshot(layout, p, zero, state),
     )
@@ -114,7 +114,7 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
     return events, state._replace(memories=events.memory_packing.pack(state.memories), flight=flight)
 
 
-def _take(events: Events, k: Array, state: State) -> State:
+def _take_samples(events: Events, k: Array, state: State) -> State:
     """Take the samples of tick k and the snapshots with this timestamp, CHUNK runs at a time."""
     samples, snapshots, instant = events.samples, events.snapshots, k * events.rows
     notifies = any_is_notified(events.layout)
@@ -181,7 +181,7 @@ def _apply_arrivals(events: Events, k: Array, state: State, c: Chunk) -> packing
     values, snapshots = (ring.at[:, packet_row % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
     packet = Packet(lane_array.split(values), _unflat(snapshots, events.first_snapshots))
     view = _view_of_runs(events, state, c)
-    memories = jump(layout, events.p, k, view, _row(events, k, c, packet_row), packet)
+    memories = jump(layout, events.p, k, view, _arrival_info(events, k, c, packet_row), packet)
     return packing.put_back(
         state.memories, events.memory_packing.pack(lane_array.match_form(memories, view.memories, CHUNK)), c.lane
     )
@@ -196,13 +196,13 @@ def _view_of_runs(events: Events, state: State, c: Chunk) -> State:
     return view._replace(commands=commands, watches=watches)
 
 
-def _noise(p: GridPointParams, times: ClockParams, root_seed: Array, seeds: Array) -> list[Array]:
+def _noise(p: GridPointParams, clocks: ClockParams, root_seed: Array, seeds: Array) -> list[Array]:
     """Return the noise of every sample of each channel before scaling, [M, L], with the draws of a common schedule.
 
     Drawn in advance: the hash of a draw takes longer for a chunk of lanes than its jump.
     """
-    noise, index = measurements.noise_sampler(p, root_seed, seeds, barrier=True), jnp.arange(times.due.shape[1])
-    channels = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
+    noise, samples = measurements.noise_sampler(p, root_seed, seeds, barrier=True), jnp.arange(clocks.due.shape[1])
+    channels = [lax.map(lambda i, j=j: noise([j], i[None]), samples) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(channels[0].shape[1]) for rows in channels]
 
 
@@ -219,22 +219,22 @@ def _chunk(queue: Queue, start: Array, time: Array, layout: Layout) -> Chunk:
     return Chunk(jnp.where(is_due, events % layout.width, layout.width), events // layout.width, is_due.sum())
 
 
-def _row(events: Events, k: Array, c: Chunk, packet_row: Array) -> ArrivalInfo:
+def _arrival_info(events: Events, k: Array, c: Chunk, packet_row: Array) -> ArrivalInfo:
     """Return mask, age and sample numbers of the packets that arrive."""
-    plan, number = events.table, _of_channels(events, events.table.number, packet_row, c.lane)
+    table, number = events.table, _of_channels(events, events.table.number, packet_row, c.lane)
     return ArrivalInfo(
-        mask=lane_array.split(_of_channels(events, plan.mask, c.row, c.lane)),
+        mask=lane_array.split(_of_channels(events, table.mask, c.row, c.lane)),
         age=lane_array.split(
-            jnp.broadcast_to(k - jnp.maximum(_at(plan.timestamp, packet_row, c.lane), 0), number.shape)
+            jnp.broadcast_to(k - jnp.maximum(_at(table.timestamp, packet_row, c.lane), 0), number.shape)
         ),
         number=lane_array.split(number),
-        ticks_since_arrival=lane_array.split(_at(plan.ticks_since_arrival, c.row, c.lane)),
+        ticks_since_arrival=lane_array.split(_at(table.ticks_since_arrival, c.row, c.lane)),
     )
 
 
 def _of_channels(events: Events, table: Array, row: Array, lane: Array) -> Array:
     """Return entries of a table by clock [C, E, L], for each channel: [q, CHUNK]."""
-    return table.at[:, row, lane].get(mode="clip")[events.times.clock_of]
+    return table.at[:, row, lane].get(mode="clip")[events.clocks.clock_of]
 
 
 def _at(table: Array, row: Array, lane: Array) -> Array:

@@ -27,12 +27,12 @@ from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.simulation.types import GridPointParams, Layout, RunSums
 
 WIDTH = 1024  # lanes per call
-DEFINITION = 64  # lanes of the definition
-EXPENSIVE = 8  # lanes of the definition with an expensive observer
-NARROW = (64, 256)  # for grid points with few runs: 64 lanes take a quarter of the time of 1024
-HEAVY = 256  # for a plant with expensive ticks: on the arm 1024 lanes are not faster per lane
+DEFINITION_WIDTH = 64  # lanes of the definition
+EXPENSIVE_WIDTH = 8  # lanes of the definition with an expensive observer
+NARROW_WIDTHS = (64, 256)  # for grid points with few runs: 64 lanes take a quarter of the time of 1024
+HEAVY_WIDTH = 256  # for a plant with expensive ticks: on the arm 1024 lanes are not faster per lane
 # types of a program's results
-RETURNED = (RunSums, ErrorSums, SettlingState, IntervalSums, ControlCost, Squares, InnovationStats)
+RESULT_TYPES = (RunSums, ErrorSums, SettlingState, IntervalSums, ControlCost, Squares, InnovationStats)
 
 
 def vector_width() -> str:
@@ -112,7 +112,7 @@ def _compile_program(layout: Layout, device: jax.Device, tree: PyTree, shapes: t
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds)
 
-    call = program_store.compile_program(simulate, layout, args, options, RETURNED)
+    call = program_store.compile_program(simulate, layout, args, options, RESULT_TYPES)
     return Program(
         layout=layout,
         call=call,
@@ -164,23 +164,23 @@ def serial(compiled: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, RunSum
 
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, RunSums]]:
     """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
-    at_once = devices(count)
-    with thread_pools.pool(len(at_once)) as threads:
-        programs = [program(layout, jobs[0], device) for device in at_once]
+    run_devices = devices(count)
+    with thread_pools.pool(len(run_devices)) as threads:
+        programs = [program(layout, jobs[0], device) for device in run_devices]
         futures = []
         for i, job in enumerate(jobs):
             compiled = programs[i % len(programs)]
             futures.append(threads.submit(in_float64, next, serial(compiled, [job])))
-            if len(futures) > 2 * len(at_once):
+            if len(futures) > 2 * len(run_devices):
                 yield futures.pop(0).result()
         for future in futures:
             yield future.result()
 
 
-def in_float64(function: Any, *arguments: PyTree) -> PyTree:
+def in_float64(function: Any, *args: PyTree) -> PyTree:
     """Call a function with float64 on: jax has this setting per thread."""
     with config.float64():
-        return function(*arguments)
+        return function(*args)
 
 
 def _to_numpy(job: Job, out: RunSums) -> tuple[Job, RunSums]:

@@ -30,7 +30,7 @@ from pcbench.simulation.types import (
     truth,
 )
 
-Happen = Callable[[Array, State], State]  # (tick, state) -> state after all samples and deliveries of the tick
+ApplyEvents = Callable[[Array, State], State]  # (tick, state) -> state after all samples and deliveries of the tick
 
 
 class TickNoise(NamedTuple):
@@ -101,17 +101,17 @@ def any_is_notified(layout: Layout) -> bool:
 # 2. deliver
 
 
-def jump(layout: Layout, p: GridPointParams, k: Array, state: State, row: ArrivalInfo, packet: Packet) -> Memories:
+def jump(layout: Layout, p: GridPointParams, k: Array, state: State, info: ArrivalInfo, packet: Packet) -> Memories:
     """Return the memories after a packet that arrives at tick k."""
 
-    def one_lane(k: Array, lane: Lane, row: ArrivalInfo, packet: Packet) -> Memories:
+    def one_lane(k: Array, lane: Lane, info: ArrivalInfo, packet: Packet) -> Memories:
         arrival = partial(
-            Arrival, packet.values, row.mask, row.age, row.number, ticks_since_arrival=row.ticks_since_arrival
+            Arrival, packet.values, info.mask, info.age, info.number, ticks_since_arrival=info.ticks_since_arrival
         )
         memories = simulate_runs.jump(layout, p, k, lane.run, packet.snapshots, arrival)
         return freeze_diverged(layout, lane.run, memories, lane.memories)
 
-    return vmap_entrywise(one_lane)(k, observer_view(layout, state), row, packet)
+    return vmap_entrywise(one_lane)(k, observer_view(layout, state), info, packet)
 
 
 # 3. estimate
@@ -163,8 +163,8 @@ def score(layout: Layout, p: GridPointParams, k: Array, state: State) -> State:
         return new_streams, new_watches, tracking
 
     e, lane = errors(layout, p, k, state), Lane(state.x, state.memories, state.commands)
-    found = vmap_entrywise(intervals_of_lane)(k, lane, state.plant_draws) if state.watches else {}
-    sums = vmap_entrywise(one_lane)(k, e, found, state.streams, state.watches, state.tracking, state.x)
+    interval_bounds = vmap_entrywise(intervals_of_lane)(k, lane, state.plant_draws) if state.watches else {}
+    sums = vmap_entrywise(one_lane)(k, e, interval_bounds, state.streams, state.watches, state.tracking, state.x)
     streams, watches, tracking = sums
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 

@@ -203,7 +203,7 @@ def extreme(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
 
 def product(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
     """Write a product of matrices as sums of products, in the order of the entries."""
-    (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
+    (ca, cb), (ba, bb) = jaxpr_compat.dot_axes(eqn.params)
     aval = eqn.outvars[0].aval
     a, b = _arrange_axes(args[0], ba, ca), _arrange_axes(args[1], bb, cb)
     kind, out = kind_of(aval.dtype), np.empty(aval.size, object)

@@ -103,7 +103,9 @@ def _step(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
 def _move_entries(eqn: Eqn, args: list[Entries]) -> list[Entries]:
     """Return the entries after a primitive that only moves numbers."""
     flat = np.concatenate([a.ravel() for a in args])
-    indices = batching_rules.places(eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args))
+    indices = batching_rules.source_indices(
+        eqn.primitive, jaxpr_compat.parameter_items(eqn), tuple(a.shape for a in args)
+    )
     return [flat[i.ravel()].reshape(i.shape) if i.size else np.empty(i.shape, object) for i in indices]
 
 

@@ -158,13 +158,15 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     calls of a program with the observers `labels`.
     """
     if cell.engine == "definition":
-        return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
+        return (
+            runner.EXPENSIVE_WIDTH if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION_WIDTH
+        )
     if widths := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(widths)
-    max_width = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
+    max_width = runner.HEAVY_WIDTH if plants.entry_of(cell.scenario).heavy else runner.WIDTH
     if runs is None or cell.scenario.loop.controller or cell.times.random:
         return max_width
-    return next((lanes for lanes in runner.NARROW if runs <= lanes < max_width), max_width)
+    return next((lanes for lanes in runner.NARROW_WIDTHS if runs <= lanes < max_width), max_width)
 
 
 def draft(

@@ -262,7 +262,7 @@ def _products(eqn: Eqn) -> int:
     if not jnp.issubdtype(out.dtype, jnp.floating):
         return 0
     if name == "dot_general":
-        return jaxpr_compat.products(eqn)
+        return jaxpr_compat.product_count(eqn)
     if name in CUBIC:
         n = eqn.invars[0].aval.shape[-1]
         return int(n * n * out.shape[-1]) if name == "triangular_solve" else n**3 // 3

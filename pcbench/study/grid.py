@@ -267,7 +267,7 @@ def usable_engine(engine: str) -> str:
     """Return the engine, or the definition if the engine does not support the installed jax."""
     from pcbench.engine import jaxpr_compat  # imports jax
 
-    return engine if engine == "definition" or jaxpr_compat.is_known() else "definition"
+    return engine if engine == "definition" or jaxpr_compat.is_supported() else "definition"
 
 
 def engine_warnings(grid: Grid) -> list[str]:

@@ -159,7 +159,7 @@ def test_widths_of_journals_are_those_of_the_page():
 
 
 def test_how_many_runs_a_call_has():
-    widths = sorted({*runner.NARROW, runner.WIDTH})
+    widths = sorted({*runner.NARROW_WIDTHS, runner.WIDTH})
     assert "an array over {}, {} or {} runs".format(*widths) in " ".join(PAGES["how_it_works.md"].split())
 
 

@@ -137,7 +137,7 @@ def test_on_the_arm_with_drift_too(monkeypatch):
     def found(seeds, devices=2):
         return results(seeds, three, ("arm/sampled",), devices, False, {"parameter_drift": [0.05]})["arm/sampled0"]
 
-    alone, width = found(SEVEN), runner.HEAVY
+    alone, width = found(SEVEN), runner.HEAVY_WIDTH
     same(alone, found(np.arange(20)), 7, three)
     same(alone, found(np.concatenate([np.arange(100, 100 + width), SEVEN])), width, three)
     same(alone, found(SEVEN, devices=1), 0, three)

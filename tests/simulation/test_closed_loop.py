@@ -103,7 +103,7 @@ def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(obser
             (done,) = run_local.execute(study, [p], np.asarray(seeds), devices)
         return done.results[observer]
 
-    alone, full = results([7], 1), runner.HEAVY
+    alone, full = results([7], 1), runner.HEAVY_WIDTH
     for seeds, place in ((range(20), 7), ([*range(100, 100 + full), 7], full), ([*range(100, 99 + full), 7], -1)):
         block = results(list(seeds), 1)
         for metric, values in alone.items():

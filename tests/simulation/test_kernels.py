@@ -74,9 +74,9 @@ def products_in(jaxpr):
         plain = not any(getattr(v, "val", None) == 0.0 for v in eqn.invars)
         if number and name == "mul" and plain:
             yield str(eqn)
-        if number and name == "dot_general" and jaxpr_compat.products(eqn) <= kernels.WRITTEN_OUT:
+        if number and name == "dot_general" and jaxpr_compat.product_count(eqn) <= kernels.MOST_PRODUCTS:
             yield str(eqn)
-        for program in jaxpr_compat.inner(eqn.params):
+        for program in jaxpr_compat.inner_programs(eqn.params):
             yield from products_in(getattr(program, "jaxpr", program))
 
 

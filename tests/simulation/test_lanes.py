@@ -173,7 +173,9 @@ def test_a_state_spreads_by_what_becomes_different_and_by_nothing_else():
     v = lane_array.split(jnp.ones((2, L)))
     step = lambda a, b, c, v: (a + v, b + a.sum(), c * 2)  # noqa: E731
     closed, _, _ = lane_forms.trace_lane(step, jnp.zeros(2), jnp.zeros(()), jnp.ones(4), v)
-    forms = lane_forms.spread(lambda f: lane_forms.forms_of(closed, [*f, lane_array.ENTRIES]), [lane_array.SAME] * 3)
+    forms = lane_forms.fixed_point(
+        lambda f: lane_forms.forms_of(closed, [*f, lane_array.ENTRIES]), [lane_array.SAME] * 3
+    )
     assert forms == [lane_array.ENTRIES, lane_array.ENTRIES, lane_array.SAME], (
         "b depends on a only from the second step on"
     )
@@ -201,7 +203,7 @@ def test_a_packed_memory_with_a_table_is_the_memory():
         "flag": lane_array.split(jnp.ones((2, 4), bool)),
         "moved": lane_array.split(jnp.zeros((1, 4))),
     }
-    form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
+    form = packing.find_packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
     back = form.unpack(form.pack(memory))
     assert back["ring"].rows == 3
     for name in memory:
@@ -217,9 +219,9 @@ def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
         "d": lane_array.split(jnp.arange(4.0).reshape(1, 4) - 50),
         "moved": lane_array.split(jnp.zeros((1, 4))),
     }
-    form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
+    form = packing.find_packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
     kept = form.pack(memory)
-    assert kept.table.shape == (2 + 6 + 2 + 1, 4)
+    assert kept.matrix.shape == (2 + 6 + 2 + 1, 4)
     assert len(kept.leaves) == 1
     back = form.unpack(kept)
     for name, entry in memory.items():

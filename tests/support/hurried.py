@@ -73,7 +73,7 @@ def programs():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(of_moments, "_PROGRAMS", program_cache.Programs())
         patch.setattr(runner, "WIDTH", LANES)
-        patch.setattr(runner, "HEAVY", LANES)
+        patch.setattr(runner, "HEAVY_WIDTH", LANES)
         patch.setattr(runner, "OPTIONS", runner.OPTIONS | options())
         patch.setattr(runner, "_PROGRAMS", program_cache.Programs())
         yield
