@@ -114,7 +114,7 @@ def require_exact_value(aim: Objective, where: str) -> None:
 def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     """Return the realisation of the cell for exact moments; raise UserError if its objective has no exact value."""
     require_exact_value(aim, where)
-    realisation = gradients.single(p)
+    realisation = gradients.single_realisation(p)
     if realisation is None:
         raise UserError(
             f"{where}: exact: got runs with different schedules or plants, expected the same for all runs, as a gradient "

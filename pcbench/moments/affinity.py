@@ -1,10 +1,10 @@
 """Cheap checks of a grid point before its program is compiled: functions are traced, or evaluated at a few points.
 
-- `bend`: is a plant's tick affine in its state? A nonlinear plant has no exact moments.
+- `plant_curvature`: is a plant's tick affine in its state? A nonlinear plant has no exact moments.
 - `is_curved`: does the slope of a tick depend on values that noise reaches? Then the observer is probably not affine. One
   realisation decides this, which saves the others. False positives are possible (for instance a limit that is never reached),
   false negatives are unlikely.
-- `asks_last_arrival`: does an observer use `ticks_since_arrival`? Then the effect of an arrival depends on the previous sample,
+- `uses_last_arrival`: does an observer use `ticks_since_arrival`? Then the effect of an arrival depends on the previous sample,
   and so on losses.
 """
 
@@ -17,11 +17,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import PyTree
 
-from pcbench.moments.dependence import reach
+from pcbench.moments.dependence import argument_dependence
 from pcbench.moments.events import jump, sense
 from pcbench.moments.inputs import begin
-from pcbench.moments.noise_state import OneCell, by_shapes, form_of, slope, vector
-from pcbench.moments.propagate import flat, one_cell
+from pcbench.moments.noise_state import OneCell, by_shapes, form_of, jacobian, vector
+from pcbench.moments.propagate import one_cell, tick_vector
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival, Now
 from pcbench.scenarios.scenario import Sampling
@@ -31,7 +31,7 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout
 
 ROUNDING = 1e-9  # relative to the largest number in a comparison; affine grid points stay below 1e-12
 MOST_NUMBERS = 1024  # that noise reaches: their covariance has the square of it, for each of eight grid points
-KEY = 20190131  # seed of the points at which a plant is evaluated; no result depends on it
+SEED = 20190131  # seed of the points at which a plant is evaluated; no result depends on it
 
 
 def refusal_beforehand(p: Plan) -> str:
@@ -58,7 +58,7 @@ def _unsupported_samples(sampling: Sampling) -> str:
     return ""
 
 
-def bend(p: Plan) -> float:
+def plant_curvature(p: Plan) -> float:
     """Return the largest f(x + d) + f(x - d) - 2 f(x) of a tick relative to its size; 0 if no noise reaches x."""
     layout, problem = p.layout, p.problem
     has_noise = layout.controller or layout.random_initial_state or len(problem.process_std)
@@ -67,8 +67,8 @@ def bend(p: Plan) -> float:
     n, m, params = len(problem.x0), problem.inputs.shape[1], jax.tree.map(jnp.asarray, problem.params)
     u, worst = jnp.zeros(m), 0.0
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(problem.dt), u, lambda age: u)
-    wide = np.abs(problem.x0) + np.sqrt(np.sum(np.square(problem.spread0), 1)) + problem.band[:n]
-    for d in np.random.default_rng(KEY).normal(size=(3, n)) * wide:
+    spread = np.abs(problem.x0) + np.sqrt(np.sum(np.square(problem.spread0), 1)) + problem.band[:n]
+    for d in np.random.default_rng(SEED).normal(size=(3, n)) * spread:
         up, down, middle = (
             np.asarray(layout.plant.step(params, now, jnp.asarray(problem.x0 + s * d))) for s in (1, -1, 0)
         )
@@ -91,35 +91,34 @@ def _is_curved(layout: Layout, p: GridPointParams) -> bool:
     zero, q = jnp.asarray(0), p.noise_std.shape[0]
     state = _initial_shapes(layout, p)
     packet = jax.eval_shape(lambda p, state: sense(layout, p, zero, state, (), ()), p, state)
-    row = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
+    info = ArrivalInfo(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), zero)
 
-    def slope_varies(f: OneCell, flat: Callable[..., Array], w: PyTree, inputs: PyTree) -> bool:
+    def slope_varies(f: OneCell, to_vector: Callable[..., Array], w: PyTree, inputs: PyTree) -> bool:
         def matrix(state: Run, p: GridPointParams, k: Array, noise: PyTree) -> Array:
-            return slope(form, f, flat)(p, k, state, noise, inputs)
+            return jacobian(form, f, to_vector)(p, k, state, noise, inputs)
 
-        leaves = reach(matrix, state, p, zero, w)
-        return any(moves and leaf in leaves for leaf, moves in enumerate(form.noisy))
+        leaves = argument_dependence(matrix, state, p, zero, w)
+        return any(is_noisy and leaf in leaves for leaf, is_noisy in enumerate(form.noisy))
 
     process = jax.ShapeDtypeStruct(p.process_std.shape, float)
-    arrival = partial(jump, layout), partial(vector, form), packet, (jnp.asarray(True), row)
-    return slope_varies(partial(one_cell, layout), partial(flat, form), process, ()) or slope_varies(*arrival)
+    arrival = partial(jump, layout), partial(vector, form), packet, (jnp.asarray(True), info)
+    return slope_varies(partial(one_cell, layout), partial(tick_vector, form), process, ()) or slope_varies(*arrival)
 
 
-def asks_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
+def uses_last_arrival(layout: Layout, problem: GridPointParams) -> bool:
     """Return whether an observer may use the time since the last arrival."""
-    return _asks_last_arrival(layout, problem._replace(schedule=()))
+    return _uses_last_arrival(layout, problem._replace(schedule=()))
 
 
 @by_shapes
-def _asks_last_arrival(layout: Layout, p: GridPointParams) -> bool:
+def _uses_last_arrival(layout: Layout, p: GridPointParams) -> bool:
     zero, q, run = jnp.asarray(0), p.noise_std.shape[0], _initial_shapes(layout, p)
-    snapshots = jax.eval_shape(
-        lambda p, r: simulate_runs.take_snapshots(layout, p, zero, r.memories, r.commands), p, run
-    )
+    snapshot_of = lambda p, r: simulate_runs.take_snapshots(layout, p, zero, r.memories, r.commands)  # noqa: E731
+    snapshots = jax.eval_shape(snapshot_of, p, run)
 
-    def arrive(since: Array, p: GridPointParams, run: Run, snapshots: dict[str, Array]) -> PyTree:
+    def arrive(ticks_since_arrival: Array, p: GridPointParams, run: Run, snapshots: dict[str, Array]) -> PyTree:
         none = jnp.zeros(q, int)
-        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, ticks_since_arrival=since)
+        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, ticks_since_arrival=ticks_since_arrival)
         return simulate_runs.jump(layout, p, zero, run, snapshots, arrival)
 
     jaxpr = jax.make_jaxpr(arrive)(zero, p, run, snapshots).jaxpr

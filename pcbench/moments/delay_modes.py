@@ -14,7 +14,7 @@ over schedules is a mean over modes. Out-of-sequence samples are covered: L grow
 Conditions:
 
 - one sensor with deterministic sampling instants
-- at most `MOST` modes, which cost no more than the same number of drawn schedules
+- at most `MOST_MODES` modes, which cost no more than the same number of drawn schedules
 - the part of an observer's memory without noise (index of the newest sample, a covariance) depends on the mode alone; this is
   checked whenever modes merge (`events`)
 
@@ -33,7 +33,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.moments.affinity import asks_last_arrival
+from pcbench.moments.affinity import uses_last_arrival
 from pcbench.moments.inputs import Mix
 from pcbench.moments.realisations import Mode, Realisation
 from pcbench.planning.padding import Plan
@@ -41,7 +41,7 @@ from pcbench.simulation.schedule import common_times, sampling
 from pcbench.simulation.schedule.common_times import Schedule
 from pcbench.simulation.schedule.sampling import Clock
 
-MOST = 64  # modes of a grid point: the default number of drawn schedules
+MOST_MODES = 64  # modes of a grid point: the default number of drawn schedules
 Values = NDArray[np.float64]
 
 
@@ -60,23 +60,24 @@ def over_modes(p: Plan) -> list[Realisation] | None:
         return None
     chain = _chain(clock)
     layout = p.layout._replace(width=1, watch=False)
-    length = _length(clock, chain, ticks, asks_last_arrival(layout, p.problem))
-    if len(chain.delays) ** length > MOST:
+    length = _length(clock, chain, ticks, uses_last_arrival(layout, p.problem))
+    if len(chain.delays) ** length > MOST_MODES:
         return None
-    every = [a for a in itertools.product(range(len(chain.delays)), repeat=length) if _share(chain, a) > 0]
-    number = {mode: i for i, mode in enumerate(every)}
+    modes = [a for a in itertools.product(range(len(chain.delays)), repeat=length) if _mode_probability(chain, a) > 0]
+    number_of = {mode: i for i, mode in enumerate(modes)}
     instants = sampling.instants(clock, ticks)[:-1]
     merge_ticks = np.isin(np.arange(ticks + 1), instants[1:])
     schedule_of = _schedules(p, clock, chain, length, instants)
-    out = []
-    for mode in every:
+    realisations = []
+    for mode in modes:
         sources = [(*mode[1:], oldest) for oldest in range(len(chain.delays))]
-        sources = [m for m in sources if m in number and chain.transition[m[0], mode[0]] > 0]
-        weight = np.array([_share(chain, m) * chain.transition[m[0], mode[0]] for m in sources])
-        source = tuple(number[m] for m in sources)
-        record = Mode(number[mode], _share(chain, mode), source, tuple((weight / weight.sum()).tolist()), merge_ticks)
-        out.append(Realisation(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=record))
-    return out
+        sources = [m for m in sources if m in number_of and chain.transition[m[0], mode[0]] > 0]
+        weight = np.array([_mode_probability(chain, m) * chain.transition[m[0], mode[0]] for m in sources])
+        source = tuple(number_of[m] for m in sources)
+        weights = tuple((weight / weight.sum()).tolist())
+        origin = Mode(number_of[mode], _mode_probability(chain, mode), source, weights, merge_ticks)
+        realisations.append(Realisation(layout, p.problem._replace(schedule=schedule_of(mode)), (), mode=origin))
+    return realisations
 
 
 def mix_of(modes: list[Mode]) -> Mix:
@@ -108,26 +109,24 @@ def _without_delays(clock: Clock) -> Clock:
 
 def _chain(clock: Clock) -> Chain:
     """Return the chain of additional delays: dependent or independent steps, plus independent jitter."""
-    steps, m = clock.delay_values or (0,), len(clock.delay_values) or 1
+    delay_values, m = clock.delay_values or (0,), len(clock.delay_values) or 1
     if clock.delay_weights or not clock.delay_values:
         stationary = np.array(clock.delay_weights or (1.0,))
-        T = np.tile(stationary, (m, 1))
+        transition = np.tile(stationary, (m, 1))
     else:
-        stationary, stay = (
-            np.array(sampling.stationary(clock.delay_self_transition)),
-            np.array(clock.delay_self_transition),
-        )
-        T = np.where(np.eye(m, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(m - 1, 1))
+        stay = np.array(clock.delay_self_transition)
+        stationary = np.array(sampling.stationary(clock.delay_self_transition))
+        transition = np.where(np.eye(m, dtype=bool), stay[:, None], (1 - stay[:, None]) / max(m - 1, 1))
     jitter = np.full(clock.delay_jitter + 1, 1 / (clock.delay_jitter + 1))
-    delays = tuple(step + jitter_ticks for step in steps for jitter_ticks in range(clock.delay_jitter + 1))
-    return Chain(delays, np.kron(stationary, jitter), np.kron(T, np.tile(jitter, (len(jitter), 1))))
+    delays = tuple(step + jitter_ticks for step in delay_values for jitter_ticks in range(clock.delay_jitter + 1))
+    return Chain(delays, np.kron(stationary, jitter), np.kron(transition, np.tile(jitter, (len(jitter), 1))))
 
 
 def _length(clock: Clock, chain: Chain, ticks: int, last_arrival: bool) -> int:
-    """Return how many of the newest samples determine the events until the next one, and the last arrival if asked."""
+    """Return how many of the newest samples determine the events until the next one, and the last arrival if `last_arrival`."""
     instants = np.array(sampling.instants(clock, ticks))
-    usual = instants[1:] if clock.delay is None else instants[:-1] + clock.delay
-    first, last, instants = usual + min(chain.delays), usual + max(chain.delays), instants[:-1]
+    nominal = instants[1:] if clock.delay is None else instants[:-1] + clock.delay
+    first, last, instants = nominal + min(chain.delays), nominal + max(chain.delays), instants[:-1]
     M = len(instants)
     back = next(n for n in range(1, M + 1) if (last[: M - n] < instants[n:]).all())
     if not last_arrival:
@@ -135,7 +134,7 @@ def _length(clock: Clock, chain: Chain, ticks: int, last_arrival: bool) -> int:
     return next(n for n in range(back + 1, M + back + 1) if (first[n - back :][: M - n] >= last[: M - n]).all())
 
 
-def _share(chain: Chain, mode: tuple[int, ...]) -> float:
+def _mode_probability(chain: Chain, mode: tuple[int, ...]) -> float:
     """Return the probability of a mode; the newest sample's value comes first."""
     old = mode[::-1]
     return float(chain.stationary[old[0]] * math.prod(chain.transition[a, b] for a, b in itertools.pairwise(old)))
@@ -153,12 +152,8 @@ def _schedules(
     @cache
     def repeating(values: tuple[int, ...]) -> Schedule:
         delays = tuple(chain.delays[v] for v in values)
-        return common_times.schedule(
-            common_times.samples_of([_without_delays(clock)._replace(delay_sequence=delays)], ticks),
-            ticks,
-            channels,
-            error,
-        )
+        samples = common_times.samples_of([_without_delays(clock)._replace(delay_sequence=delays)], ticks)
+        return common_times.schedule(samples, ticks, channels, error)
 
     newest = np.searchsorted(instants, np.arange(ticks + 1), "right") - 1
 
@@ -168,8 +163,8 @@ def _schedules(
 
     def schedule_of(mode: tuple[int, ...]) -> Schedule:
         schedules = [repeating(tuple(mode[(last - i) % length] for i in range(length))) for last in range(length)]
-        slots = max(one.arrive.shape[1] for one in schedules)
-        schedules = [common_times.pad_slots(one, slots) for one in schedules]
+        slots = max(schedule.arrive.shape[1] for schedule in schedules)
+        schedules = [common_times.pad_slots(schedule, slots) for schedule in schedules]
         return jax.tree.map(by_interval, *schedules)
 
     return schedule_of

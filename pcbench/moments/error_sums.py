@@ -23,7 +23,7 @@ class RunSignals(NamedTuple):
     """The signals of a run that are read at a tick: of one run, or of many, arrays [..., C]."""
 
     errors: Array  # [Z] of all observers, in the order of their labels
-    off: Array  # [r] set point minus state, in a closed loop
+    tracking: Array  # [r] set point minus state, in a closed loop
     x: Array  # [n], and
     u: Array  # [m] of a closed loop
 
@@ -38,7 +38,7 @@ class Sums(NamedTuple):
     reach: Numbers  # [Z, C] the largest |m| + FAR s
     deviation: Numbers  # [Z, C] largest deviation of a run with noise from the linear maps
     size: Numbers  # [Z, C] largest number in that comparison, over the runs
-    off: Numbers  # [2, r, C] of a closed loop
+    tracking: Numbers  # [2, r, C] of a closed loop
     cost: Numbers  # [2, C]
     input: Numbers  # [2, C]
 
@@ -62,7 +62,7 @@ def zero_sums(signals: int, targets: int, cells: int) -> Sums:
         reach=one,
         deviation=one,
         size=one,
-        off=jnp.zeros((2, targets, cells)),
+        tracking=jnp.zeros((2, targets, cells)),
         cost=pair,
         input=pair,
     )
@@ -94,10 +94,10 @@ def add_tick(s: Sums, values: TickValues, counts: Array, weights: Weights | tupl
         for a in (runs[1:] - (mean[None] + values.shifts[:, :Z]), runs)
     )
     size = jnp.maximum(s.size, large)
-    std = _root(variance, size)
+    std = _std(variance, size)
     s = s._replace(
         square=_over(counts, s.square, mean * mean + variance),
-        absolute=_over(counts, s.absolute, expected_size(mean, std)),
+        absolute=_over(counts, s.absolute, mean_size(mean, std)),
         mean=jnp.where(counts[0], mean, s.mean),
         std=jnp.where(counts[0], std, s.std),
         reach=jnp.maximum(s.reach, jnp.where(counts[0], jnp.abs(mean) + FAR * std, 0.0)),
@@ -110,11 +110,11 @@ def add_tick(s: Sums, values: TickValues, counts: Array, weights: Weights | tupl
     first = Z + len(off)
     n = first + len(x)
     if isinstance(weights, Weights) and weights.Q1.size:
-        cost = _form(weights.Q1, x, weights.x_ref, k, c[first:n, first:n])
-        cost = cost + _form(weights.Q2, u, weights.u_ref, k, c[n:, n:])
+        cost = _expected_square(weights.Q1, x, weights.x_ref, k, c[first:n, first:n])
+        cost = cost + _expected_square(weights.Q2, u, weights.u_ref, k, c[n:, n:])
         s = s._replace(cost=_over(counts, s.cost, cost))
     return s._replace(
-        off=_over(counts, s.off, off * off + square[Z:first]),
+        tracking=_over(counts, s.tracking, off * off + square[Z:first]),
         input=_over(counts, s.input, reduce(operator.add, u * u + square[n:])),
     )
 
@@ -124,7 +124,7 @@ def _over(counts: Array, sums: Numbers, numbers: Array) -> Numbers:
     return sums + jnp.where(counts.reshape(2, *(1 for _ in numbers.shape)), numbers[None], 0.0)
 
 
-def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
+def _expected_square(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Array:
     """Return E z'Q z [C] of z minus row k of a path [T, z, C], or [T, z] common to all, if any; Q [z, z, C] or [z, z]."""
     if path.size:
         mean = mean - (path[k] if path.ndim == 3 else path[k][:, None])
@@ -132,14 +132,14 @@ def _form(Q: Array, mean: Array, path: Array, k: Array, covariance: Array) -> Ar
     return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None]) * second, (0, 1))
 
 
-def _root(variance: Array, size: Array) -> Array:
+def _std(variance: Array, size: Array) -> Array:
     """Return standard deviations; where they are rounding relative to the numbers so far, without a slope."""
     std = jnp.sqrt(jnp.maximum(variance, 0.0))
     is_significant = variance > (STILL * size) ** 2
     return jnp.where(is_significant, jnp.sqrt(jnp.where(is_significant, variance, 1.0)), lax.stop_gradient(std))
 
 
-def expected_size(mean: Array, std: Array) -> Array:
+def mean_size(mean: Array, std: Array) -> Array:
     """Return E |e| of a normal e: s sqrt(2/pi) exp(-m^2/2s^2) + m (1 - 2 Phi(-m/s)); |m| where s = 0."""
     varies = std > 0
     z = mean / jnp.where(varies, std, 1.0)

@@ -74,9 +74,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     ratio = relative_deviation(s, signals, cell.final_state)
     worst = int(np.argmax(ratio))
     not_affine = ratio[worst] > ROUNDING
-    draft_cell = p.cell._replace(
-        options={label: p.cell.options[label]}
-    )  # one observer: in a closed loop each has its own draft
+    # one observer: in a closed loop each has its own draft
+    draft_cell = p.cell._replace(options={label: p.cell.options[label]})
     response = response_size(fit(list(drafts([draft_cell])))[0], label) if p.layout.controller else None
     if response is not None:
         n, deviation = len(response), np.asarray(s.deviation)[signals].max(-1)
@@ -92,9 +91,9 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     reach = s.reach[signals].max(-1)
     finite = np.isfinite(reach).all() or np.isfinite(s.size[signals]).all()  # of the runs, if linear maps overflow
     if not_affine and (np.isfinite(ratio[worst]) or finite):
-        off = f"{ratio[worst]:.1g} of its size" if np.isfinite(ratio[worst]) else "more than a number can hold"
+        part = f"{ratio[worst]:.1g} of its size" if np.isfinite(ratio[worst]) else "more than a number can hold"
         return (
-            f"{where} is not affine in the noise: {names[worst]} is off by {off} where an affine observer is off by less than "
+            f"{where} is not affine in the noise: {names[worst]} is off by {part} where an affine observer is off by less than "
             f"{ROUNDING:.0e}; {instead}."
         )
     bound = np.asarray(p.problem.bound)[: len(reach)]

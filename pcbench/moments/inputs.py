@@ -21,10 +21,10 @@ from pcbench.simulation.schedule.common_times import NEVER, Schedule
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout, Packet
 
-KEY = 20170607  # seed of the noise in runs that test whether a grid point is affine; no result depends on it
+SEED = 20170607  # seed of the noise in runs that test whether a grid point is affine; no result depends on it
 SCALES = (-8.0,)  # factor on the noise in these runs
-SMALL = 256  # largest size of an array that is stored per grid point,
-TIMES = ("windows", "jumps", "network")  # except these
+LARGEST_PER_CELL = 256  # numbers of an array that is stored per grid point
+COMMON_FIELDS = ("windows", "jumps", "network")  # never stored per grid point
 Numbers: TypeAlias = Array | NDArray[Any]  # inside a program, and outside
 
 
@@ -42,7 +42,7 @@ class Event(NamedTuple):
     extra_snapshots: Numbers  # [M, C] further packets with the same timestamp
 
 
-class Plan(NamedTuple):
+class BatchSchedule(NamedTuple):
     """Schedules of C grid points by event: a tick with an event of any of them, and tick 0."""
 
     ticks: Numbers  # [E] ticks; after the last event, beyond N + 1
@@ -61,37 +61,35 @@ class Mix(NamedTuple):
 class MomentInputs(NamedTuple):
     """The parameters of C grid points."""
 
-    problem: GridPointParams  # separate arrays of each grid point are [..., C]; its schedule is in `plan`
-    plan: Plan
+    problem: GridPointParams  # separate arrays of each grid point are [..., C]; its schedule is in `schedule`
+    schedule: BatchSchedule
     arrivals: Numbers  # [N+1, P, S, q] noise of arrivals, in the runs that test whether a grid point is affine
     ticks: Numbers  # [N+1, P, w] process and command noise of these runs
     start: Numbers  # [P, 2 n] random initial state of these runs
     chance: Numbers  # [C] probability that a sample arrives
-    network: tuple[
-        Numbers, ...
-    ]  # (late, lost) [J, 1, C] uniform numbers of every decision on a command network; (): none
+    network: tuple[Numbers, ...]  # (late, lost) [J, 1, C] uniform numbers of every network decision; (): no network
     mix: Mix | tuple[()] = ()  # if the grid points are modes
 
 
-def plan_of(schedules: list[Schedule]) -> Plan:
+def batch_schedule(schedules: list[Schedule]) -> BatchSchedule:
     """Return schedules of one shape side by side."""
     ticks, has_event = len(schedules[0].event), schedules[0].event.copy()
     for s in schedules[1:]:
         has_event |= s.event
     has_event[0] = True
-    at = np.flatnonzero(has_event)
-    room = min(_room(len(at) + 1), ticks + 1)  # one after the last; few sizes, for few programs
-    rows = np.pad(at, (0, room - len(at)))
+    event_ticks = np.flatnonzero(has_event)
+    capacity = min(_capacity(len(event_ticks) + 1), ticks + 1)  # one after the last; few sizes, for few programs
+    rows = np.pad(event_ticks, (0, capacity - len(event_ticks)))
     by_id = {id(s): _events(s, rows) for s in schedules}  # grid points of a study share them
     fields = zip(*(by_id[id(s)] for s in schedules), strict=True)
     events = Event(*(np.stack(field, -1) for field in fields))
-    at = np.pad(at, (0, room - len(at)), constant_values=NEVER)
-    return Plan(at, events, np.stack([s.early for s in schedules], -1))
+    event_ticks = np.pad(event_ticks, (0, capacity - len(event_ticks)), constant_values=NEVER)
+    return BatchSchedule(event_ticks, events, np.stack([s.early for s in schedules], -1))
 
 
-def _room(count: int) -> int:
+def _capacity(count: int) -> int:
     """Return the least of 64, 256, 1024 ... that is large enough."""
-    return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= count)
+    return next(size for size in (64 << 2 * i for i in itertools.count()) if size >= count)
 
 
 def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
@@ -109,19 +107,19 @@ def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
 
 
 def is_per_cell(problem: GridPointParams) -> tuple[bool, ...]:
-    """Return for each array of a problem without its schedule whether it is stored per grid point: small ones except TIMES."""
+    """Return for each array of a problem without its schedule whether it is stored per grid point: if small, and not common."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
-    return tuple(may and 0 < np.size(a) <= SMALL for may, a in zip(_no_times(tree), leaves, strict=True))
+    return tuple(may and 0 < np.size(a) <= LARGEST_PER_CELL for may, a in zip(_may_differ(tree), leaves, strict=True))
 
 
 @lru_cache(256)
-def _no_times(tree: jax.tree_util.PyTreeDef) -> list[bool]:
-    """Return whether each array of a problem belongs to no field of TIMES."""
+def _may_differ(tree: jax.tree_util.PyTreeDef) -> list[bool]:
+    """Return whether each array of a problem belongs to none of COMMON_FIELDS."""
     fields = jax.tree.unflatten(tree, range(tree.num_leaves))._asdict()
-    return [name not in TIMES for name, field in fields.items() for _ in jax.tree.leaves(field)]
+    return [name not in COMMON_FIELDS for name, field in fields.items() for _ in jax.tree.leaves(field)]
 
 
-def shared_of(problem: GridPointParams, digests: dict[int, Hashable]) -> Hashable:
+def batch_key(problem: GridPointParams, digests: dict[int, Hashable]) -> Hashable:
     """Return what must be equal for grid points to share a batch: every array that is not stored per grid point.
 
     `digests` caches digests of live arrays by id, as most arrays are common to all grid points.
@@ -145,15 +143,15 @@ def stack_inputs(
         np.stack(arrays, -1) if is_separate else np.asarray(arrays[0])
         for is_separate, arrays in zip(per_cell, zip(*flat, strict=True), strict=True)
     ]
-    p, draw = problems[0], np.random.default_rng(KEY).normal
-    every = len(p.process_std) + (len(p.network.std) if p.network else 0)
+    p, draw = problems[0], np.random.default_rng(SEED).normal
+    n_noise = len(p.process_std) + (len(p.network.std) if p.network else 0)
     ticks, slots = p.schedule.arrive.shape
     size = np.asarray(SCALES)
     return MomentInputs(
         problem=jax.tree.unflatten(tree, leaves),
-        plan=plan_of([p.schedule for p in problems]),
+        schedule=batch_schedule([p.schedule for p in problems]),
         arrivals=draw(size=(ticks, len(size), slots, len(p.noise_std))) * size[:, None, None],
-        ticks=draw(size=(ticks, len(size), every)) * size[:, None],
+        ticks=draw(size=(ticks, len(size), n_noise)) * size[:, None],
         start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
         chance=np.array(chance),
         network=tuple(np.stack(arrays, -1) for arrays in zip(*network, strict=True)),

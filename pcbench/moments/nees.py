@@ -34,17 +34,17 @@ class Squares(NamedTuple):
     states: Values  # [1, S] the rank
 
 
-def squares(b: FinalErrors) -> Squares:
+def squares(errors: FinalErrors) -> Squares:
     """Return the expected normalized squares."""
-    second = b.covariance + b.mean[:, None] * b.mean[None]
+    second = errors.covariance + errors.mean[:, None] * errors.mean[None]
     nees, ranks = [], []
-    for s in range(b.P.shape[-1]):
-        counts = _counts(b)[:, s]
+    for s in range(errors.P.shape[-1]):
+        counts = _counts(errors)[:, s]
         block = np.ix_(counts, counts)
-        trace, rank = _normalized_trace(b.P[..., s][block], second[..., s][block])
+        trace, rank = _normalized_trace(errors.P[..., s][block], second[..., s][block])
         ranks.append(rank)
         nees.append(trace / rank if rank else np.nan)
-    return Squares(np.array([nees]), _diagonal(second) / _variances(b), np.array([ranks], float))
+    return Squares(np.array([nees]), _diagonal(second) / _variances(errors), np.array([ranks], float))
 
 
 def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
@@ -56,23 +56,24 @@ def _normalized_trace(P: Values, second: Values) -> tuple[float, int]:
     return float(np.sum(along[spans] / size[spans])), int(spans.sum())
 
 
-def inside(b: FinalErrors) -> list[Values]:
+def inside(errors: FinalErrors) -> list[Values]:
     """Return for each of SIGMAS the share [n, S] of normal errors within it; NaN for a known state."""
     from scipy.special import ndtr
 
-    sigma, std = np.sqrt(_variances(b)), np.sqrt(np.maximum(_diagonal(b.covariance), 0.0))
+    sigma, std = np.sqrt(_variances(errors)), np.sqrt(np.maximum(_diagonal(errors.covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [[ndtr((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
-    still = [np.where(np.isnan(sigma), np.nan, (np.abs(b.mean) <= k * sigma) * 1.0) for k in SIGMAS]
-    return [np.where(std > 0, high - low, noise_free) for (high, low), noise_free in zip(ends, still, strict=True)]
+        probabilities = [[ndtr((side * k * sigma - errors.mean) / std) for side in (1, -1)] for k in SIGMAS]
+    without_noise = [np.where(np.isnan(sigma), np.nan, (np.abs(errors.mean) <= k * sigma) * 1.0) for k in SIGMAS]
+    pairs = zip(probabilities, without_noise, strict=True)
+    return [np.where(std > 0, high - low, noise_free) for (high, low), noise_free in pairs]
 
 
-def _counts(b: FinalErrors) -> np.ndarray:
-    return _diagonal(b.P) > np.square(KNOWN_TOL * b.prior)[:, None]
+def _counts(errors: FinalErrors) -> np.ndarray:
+    return _diagonal(errors.P) > np.square(KNOWN_TOL * errors.prior)[:, None]
 
 
-def _variances(b: FinalErrors) -> Values:
-    return np.where(_counts(b), _diagonal(b.P), np.nan)
+def _variances(errors: FinalErrors) -> Values:
+    return np.where(_counts(errors), _diagonal(errors.P), np.nan)
 
 
 def _diagonal(P: Values) -> Values:

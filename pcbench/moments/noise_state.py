@@ -17,20 +17,18 @@ from jaxtyping import Float, PyTree
 
 from pcbench.engine import initial_state, interpreter
 from pcbench.engine.lane_array import is_lanes, join, split
-from pcbench.moments.dependence import reach
+from pcbench.moments.dependence import argument_dependence
 from pcbench.simulation.simulate_runs import Run
 from pcbench.simulation.types import GridPointParams, Layout
 
-WRITTEN_OUT = (
-    16  # state size up to which functions of many grid points are written entry by entry: half the run time, but
-)
-# twice the compilation time
+# state size up to which functions of many grid points are written entry by entry: half the run time, twice the compilation time
+MOST_ENTRYWISE = 16
 TERMS = 16  # longest sum written term by term, which runs fastest; longer ones are compiled as products
 Rows = Callable[[Array], Array]  # [D, X, C] -> [D, X, C], linear
 OneCell = Callable[..., PyTree]  # (problem, tick, state, linear inputs, other inputs) -> a vector
 
 
-Look = TypeVar("Look")
+Result = TypeVar("Result")
 
 
 class Form(NamedTuple):
@@ -43,14 +41,14 @@ class Form(NamedTuple):
     vector_size: int  # size of the vector: numbers of a state that noise reaches
 
 
-def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layout, GridPointParams], Look]:
-    """Apply `look` to a layout once for all problems with the same array shapes; it receives no values and no schedule."""
+def by_shapes(f: Callable[[Layout, GridPointParams], Result]) -> Callable[[Layout, GridPointParams], Result]:
+    """Apply `f` to a layout once for all problems with the same array shapes; it receives no values and no schedule."""
 
     @lru_cache(256)
-    def once(layout: Layout, tree: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> Look:
-        return look(layout, jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*shape) for shape in shapes]))
+    def once(layout: Layout, tree: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> Result:
+        return f(layout, jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*shape) for shape in shapes]))
 
-    def call(layout: Layout, problem: GridPointParams) -> Look:
+    def call(layout: Layout, problem: GridPointParams) -> Result:
         leaves, tree = jax.tree.flatten(problem._replace(weights=()))
         layout = layout._replace(width=1, ring=1)  # irrelevant for the result
         arrays = (a if hasattr(a, "dtype") else np.asarray(a) for a in leaves)
@@ -63,10 +61,9 @@ def by_shapes(look: Callable[[Layout, GridPointParams], Look]) -> Callable[[Layo
 def form_of(layout: Layout, p: GridPointParams) -> Form:
     """Return which parts of a state noise reaches."""
     start = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
-    bare = start._replace(
-        plant_draws=(), flight=(), streams={}, watches={}, tracking=(), effort=()
-    )  # the parts that moments use
-    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)  # those that differ between runs are LaneArrays
+    # the parts that moments use
+    part = start._replace(plant_draws=(), flight=(), streams={}, watches={}, tracking=(), effort=())
+    leaves = jax.tree.leaves(part, is_leaf=is_lanes)  # those that differ between runs are LaneArrays
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     sizes = [a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in leaves]
     noisy = tuple(is_lanes(a) and f for a, f in zip(leaves, floats, strict=True))
@@ -90,38 +87,38 @@ def vectors(form: Form, runs: Run) -> Array:
     return jax.vmap(jax.vmap(partial(vector, form), -1, -1))(runs)
 
 
-def put(form: Form, state: Run, z: Array) -> Run:
+def with_vector(form: Form, state: Run, z: Array) -> Run:
     """Return the state with another vector."""
     leaves, tree = jax.tree.flatten(state)
     at, out = 0, []
-    for a, moves in zip(leaves, form.noisy, strict=True):
-        out.append(z[at : at + a.size].reshape(a.shape) if moves else a)
-        at += a.size if moves else 0
+    for a, is_noisy in zip(leaves, form.noisy, strict=True):
+        out.append(z[at : at + a.size].reshape(a.shape) if is_noisy else a)
+        at += a.size if is_noisy else 0
     return jax.tree.unflatten(tree, out)
 
 
-def along(form: Form, f: OneCell) -> OneCell:
+def with_tangent(form: Form, f: OneCell) -> OneCell:
     """Return f with its derivative: (problem, tick, state, noise, inputs, dz, d noise) -> (value, tangent)."""
 
     def value_and_tangent(
         p: PyTree, k: Array, state: Run, noise: Array, inputs: PyTree, dz: Array, de: Array
     ) -> PyTree:
         def f_of_vector(z: Array, w: Array) -> PyTree:
-            return f(p, k, put(form, state, z), w, inputs)
+            return f(p, k, with_vector(form, state, z), w, inputs)
 
         return jax.jvp(f_of_vector, (vector(form, state), noise), (dz, de))
 
     return value_and_tangent
 
 
-def slope(form: Form, f: OneCell, flat: Callable[[PyTree], Array]) -> OneCell:
+def jacobian(form: Form, f: OneCell, to_vector: Callable[[PyTree], Array]) -> OneCell:
     """Return the matrix of f: (problem, tick, state, noise, inputs) -> [size of f, size of state and noise]."""
 
     def matrix(p: PyTree, k: Array, state: Run, noise: Array, inputs: PyTree) -> Array:
         z = vector(form, state)
 
         def f_of_vector(zw: Array) -> Array:
-            return flat(f(p, k, put(form, state, zw[: len(z)]), zw[len(z) :], inputs))
+            return to_vector(f(p, k, with_vector(form, state, zw[: len(z)]), zw[len(z) :], inputs))
 
         return jax.jacfwd(f_of_vector)(jnp.concatenate([z, noise]))
 
@@ -148,12 +145,12 @@ def outer_square(G: Float[Array, "D j C"]) -> Float[Array, "D D C"]:
     return product(G, transpose_cells(G))
 
 
-def both(move: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
-    """Return T P T', with T the linear map `move` of rows."""
-    return transpose_cells(move(transpose_cells(move(P))))
+def congruence(row_map: Rows, P: Float[Array, "D D C"]) -> Float[Array, "D D C"]:
+    """Return T P T', with T the linear map `row_map` of rows."""
+    return transpose_cells(row_map(transpose_cells(row_map(P))))
 
 
-def steady(p: PyTree, per_cell: tuple[bool, ...], f: OneCell, *args: PyTree) -> bool:
+def is_constant(p: PyTree, per_cell: tuple[bool, ...], f: OneCell, *args: PyTree) -> bool:
     """Return whether a function depends on p alone, so that it is the same at every tick and in every state.
 
     `args` are its arguments other than p and the tick, for all grid points.
@@ -161,7 +158,7 @@ def steady(p: PyTree, per_cell: tuple[bool, ...], f: OneCell, *args: PyTree) -> 
     leaves, tree = jax.tree.flatten(p)
     shapes = [_cell_shape(a) if is_separate else a for a, is_separate in zip(leaves, per_cell, strict=True)]
     tick = jax.ShapeDtypeStruct((), int)
-    dependence = reach(f, jax.tree.unflatten(tree, shapes), tick, *jax.tree.map(_cell_shape, args))
+    dependence = argument_dependence(f, jax.tree.unflatten(tree, shapes), tick, *jax.tree.map(_cell_shape, args))
     return max(dependence, default=-1) < len(per_cell)  # arguments are p, the tick, then the others
 
 
@@ -170,7 +167,7 @@ def _cell_shape(a: PyTree) -> PyTree:
     return jax.ShapeDtypeStruct(a.shape[:-1], a.dtype)
 
 
-def over_cells(
+def map_over_cells(
     p: PyTree, per_cell: tuple[bool, ...], cells: int, entrywise: bool
 ) -> Callable[[OneCell], Callable[..., PyTree]]:
     """Return a function that maps functions of one grid point over the last axis; arrays `per_cell` of p are separate for each.

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from pcbench.moments.affinity import asks_last_arrival
+from pcbench.moments.affinity import uses_last_arrival
 from pcbench.moments.noise_state import form_of
 from pcbench.planning import alone
 from pcbench.planning.padding import Plan
@@ -27,7 +27,7 @@ class Mode(NamedTuple):
     """One mode of a grid point (see `delay_modes`)."""
 
     number: int
-    share: float  # its probability
+    probability: float
     source: tuple[int, ...]  # the modes that may precede it
     weight: tuple[float, ...]  # and their probabilities
     merge_ticks: NDArray[np.bool_]  # [N+1] ticks at which it follows them
@@ -43,7 +43,7 @@ class Realisation(NamedTuple):
     mode: Mode | None = None  # if this is one of the grid point's modes
 
 
-def random(p: Plan) -> bool:
+def is_random(p: Plan) -> bool:
     """Return whether runs of a grid point differ in more than their noise."""
     commands = p.problem.network
     network = bool(commands) and (commands.jitter > 0 or commands.loss > 0)
@@ -52,8 +52,8 @@ def random(p: Plan) -> bool:
 
 def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
     """Return a grid point with the random values of one run, except its noise."""
-    one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
-    layout, problem, plant = one.layout._replace(width=1, watch=False), one.problem, one.layout.plant
+    plan = alone(p, root_seed, seed) if isinstance(p.problem.schedule, ClockParams) else p
+    layout, problem, plant = plan.layout._replace(width=1, watch=False), plan.problem, plan.layout.plant
     network: tuple[NDArray[np.float64], ...] = ()
     if layout.drifting and plant.of_run:
         params = plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn))
@@ -82,7 +82,7 @@ def only_losses_random(p: Plan) -> bool:
     return not clocks[0]._replace(loss=0.0).random
 
 
-def over_losses(p: Plan) -> Realisation | None:
+def realisation_over_losses(p: Plan) -> Realisation | None:
     """Return a grid point of one observer for the recursion over losses; None if the observer's maps depend on earlier losses.
 
     They do if an arrival changes values that noise does not reach, such as the time of the newest sample or a covariance, or if
@@ -95,7 +95,7 @@ def over_losses(p: Plan) -> Realisation | None:
     one = p.problem._replace(schedule=lossless)
     layout = p.layout._replace(width=1, watch=False)
     form, lossy = form_of(layout, one), form_of(layout, p.problem)
-    if (lossy.noisy, lossy.random) != (form.noisy, form.random) or any(form.random) or asks_last_arrival(layout, one):
+    if (lossy.noisy, lossy.random) != (form.noisy, form.random) or any(form.random) or uses_last_arrival(layout, one):
         return None
     ring = max(layout.ring, common_times.in_flight(lossless))
     return Realisation(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -16,15 +16,21 @@ from jax import Array
 from numpy.typing import NDArray
 
 from pcbench.engine import runner
-from pcbench.moments.affinity import ROUNDING, bend, is_curved, refusal_beforehand
+from pcbench.moments.affinity import ROUNDING, is_curved, plant_curvature, refusal_beforehand
 from pcbench.moments.delay_modes import over_modes
 from pcbench.moments.error_sums import Sums, relative_deviation, zero_sums
-from pcbench.moments.inputs import Numbers, shared_of
+from pcbench.moments.inputs import Numbers, batch_key
 from pcbench.moments.nees import FinalErrors
 from pcbench.moments.noise_state import form_of
 from pcbench.moments.programs import MANY, compute, width_of
 from pcbench.moments.propagate import MomentRecord, Outcome
-from pcbench.moments.realisations import Realisation, draw_realisation, only_losses_random, over_losses, random
+from pcbench.moments.realisations import (
+    Realisation,
+    draw_realisation,
+    is_random,
+    only_losses_random,
+    realisation_over_losses,
+)
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.runtime import thread_pools
@@ -63,8 +69,8 @@ class CellMoments(NamedTuple):
     mixture: bool = False  # over losses or delays: means and squares are exact, distributions are not normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`exactness`)  # noqa: RUF012
     final_state: Numbers | tuple[()] = ()  # [2, n, S] as in `Outcome`
-    # [S] probabilities of the modes in `last`; None: realisations have equal weight
-    shares: NDArray[np.float64] | None = None
+    # [S] probabilities of the modes in `final_errors`; None: realisations have equal weight
+    mode_probabilities: NDArray[np.float64] | None = None
     refusal: str = ""  # clause why there are no exact moments, if that is known without them
 
 
@@ -72,10 +78,10 @@ class Work(NamedTuple):
     """A planned grid point, its realisations, and the calls that compute them."""
 
     plan: Plan
-    ones: list[Realisation]  # empty if there are no exact moments
+    realisations: list[Realisation]  # empty if there are no exact moments
     random: bool
     trial: bool  # whether drawn schedules may still be needed after these
-    bend: float
+    curvature: float
     calls: list[tuple[Future[Outcome], int]]  # with the index of each realisation in its call
     refusal: str  # clause why there are no exact moments, if that is known without them
 
@@ -97,7 +103,7 @@ def plan_cells(cells: list[Cell], joint: bool = False) -> Iterator[Plan]:
         room, packets = padding.capacity_of(p), ring(p.cell)
         plan = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
         layout = plan.layout
-        places = power_of_2(packets if _flight(plan) else most if packets > least else min(most, least))
+        places = power_of_2(packets if _noise_in_flight(plan) else most if packets > least else min(most, least))
         layout = layout._replace(ring=max(room.ring, places))
         if joint:
             yield plan._replace(layout=layout)
@@ -108,7 +114,7 @@ def plan_cells(cells: list[Cell], joint: bool = False) -> Iterator[Plan]:
             yield plan._replace(layout=single, problem=problem, labels=(label,))
 
 
-def _flight(p: Plan) -> bool:
+def _noise_in_flight(p: Plan) -> bool:
     """Return whether noise reaches packets in flight, in addition to the noise of the samples."""
     drifting = p.layout.drifting and p.layout.plant.of_run is None  # else a realisation has fixed plant parameters
     return form_of(p.layout._replace(drifting=drifting), p.problem).flight
@@ -116,44 +122,44 @@ def _flight(p: Plan) -> bool:
 
 def solve(plans: Iterable[Plan], request: MomentRequest) -> Iterator[CellMoments]:
     """Yield the moments of each planned grid point, in order."""
-    unlike, wide = set[Hashable](), set[Hashable]()  # local: earlier results must not change any bit
+    unmergeable, wide = set[Hashable](), set[Hashable]()  # local: earlier results must not change any bit
     with thread_pools.pool(runner.cores()) as threads:
         previous: list[Work] = []
-        for window in _windows(plans, request, unlike):
+        for window in _windows(plans, request, unmergeable):
             _submit(threads, window, request, wide)
-            yield from (_moments(work, request, unlike) for work in previous)
+            yield from (_moments(work, request, unmergeable) for work in previous)
             previous = window
-        yield from (_moments(work, request, unlike) for work in previous)
+        yield from (_moments(work, request, unmergeable) for work in previous)
 
 
-def _windows(plans: Iterable[Plan], request: MomentRequest, unlike: set[Hashable]) -> Iterator[list[Work]]:
-    """Yield grid points with their realisations, one window at a time; kinds in `unlike` do not use modes."""
+def _windows(plans: Iterable[Plan], request: MomentRequest, unmergeable: set[Hashable]) -> Iterator[list[Work]]:
+    """Yield grid points with their realisations, one window at a time; kinds in `unmergeable` do not use modes."""
     window: list[Work] = []
     count = 0  # realisations in the window
     for p in plans:
-        deviation = bend(p)
+        curvature = plant_curvature(p)
         reason = refusal_beforehand(p)
-        may_be_exact = not (reason or deviation > ROUNDING)
-        ones, is_drawn, trial = _realisations(p, request, unlike) if may_be_exact else ([], False, False)
-        window.append(Work(p, ones, is_drawn, trial, bend=deviation, calls=[], refusal=reason))
-        count += len(ones)
+        may_be_exact = not (reason or curvature > ROUNDING)
+        realisations, is_drawn, trial = _realisations(p, request, unmergeable) if may_be_exact else ([], False, False)
+        window.append(Work(p, realisations, is_drawn, trial, curvature=curvature, calls=[], refusal=reason))
+        count += len(realisations)
         if count >= WINDOW:
             yield window
             window, count = [], 0
     yield window
 
 
-def _realisations(p: Plan, request: MomentRequest, unlike: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
+def _realisations(p: Plan, request: MomentRequest, unmergeable: set[Hashable]) -> tuple[list[Realisation], bool, bool]:
     """Return the realisations of a grid point, whether schedules are drawn, and whether this is a trial.
 
     There is one realisation, one per mode, or one per drawn schedule. A trial has only the first drawn schedule.
     """
     is_single = len(p.layout.observers) == 1
-    if is_single and _kind(p) not in unlike and (modes := over_modes(p)):
+    if is_single and _kind(p) not in unmergeable and (modes := over_modes(p)):
         return modes, False, True
-    if is_single and only_losses_random(p) and (realisation := over_losses(p)):
+    if is_single and only_losses_random(p) and (realisation := realisation_over_losses(p)):
         return [realisation], False, False
-    first, is_drawn = draw_realisation(p, request.root_seed, 0), random(p)
+    first, is_drawn = draw_realisation(p, request.root_seed, 0), is_random(p)
     if is_single and is_drawn and request.schedules > 1 and is_curved(first.layout, first.problem):
         return [first], True, True
     return [first, *_draw_realisations(p, request, 1)], is_drawn, False
@@ -161,7 +167,7 @@ def _realisations(p: Plan, request: MomentRequest, unlike: set[Hashable]) -> tup
 
 def _draw_realisations(p: Plan, request: MomentRequest, first: int) -> list[Realisation]:
     """Return a random grid point on its drawn schedules, from seed `first` on."""
-    seeds = range(first, request.schedules) if random(p) else ()
+    seeds = range(first, request.schedules) if is_random(p) else ()
     return [draw_realisation(p, request.root_seed, seed) for seed in seeds]
 
 
@@ -176,85 +182,87 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], request: MomentRequ
     digests: dict[int, Hashable] = {}
 
     def call(group: list[tuple[Work, Realisation]]) -> None:
-        ones = [one for _, one in group]
-        future = threads.submit(runner.in_float64, _compute, ones, request, width_of(ones, wide))
+        realisations = [realisation for _, realisation in group]
+        future = threads.submit(runner.in_float64, _compute, realisations, request, width_of(realisations, wide))
         for at, (work, _) in enumerate(group):
             work.calls.append((future, at))
 
     for work in window:
-        share = len(work.ones) if work.ones and work.ones[0].mode else 1
-        for first in range(0, len(work.ones), share):
-            one = work.ones[first]
-            key = one.layout, shared_of(one.problem, digests), one.mode is not None
-            if len(groups.get(key, [])) + share > MANY:
+        count = len(work.realisations) if work.realisations and work.realisations[0].mode else 1
+        for first in range(0, len(work.realisations), count):
+            layout, problem, _, _, mode = work.realisations[first]
+            key = layout, batch_key(problem, digests), mode is not None
+            if len(groups.get(key, [])) + count > MANY:
                 call(groups.pop(key))
-            groups.setdefault(key, []).extend((work, realisation) for realisation in work.ones[first : first + share])
+            groups.setdefault(key, []).extend(
+                (work, realisation) for realisation in work.realisations[first : first + count]
+            )
     for group in groups.values():
         call(group)
 
 
-def _compute(ones: list[Realisation], request: MomentRequest, width: int | None = None) -> Outcome:
-    return compute(ones, request.record, request.every(int(ones[0].problem.windows[-1, 1])), width)
+def _compute(realisations: list[Realisation], request: MomentRequest, width: int | None = None) -> Outcome:
+    return compute(realisations, request.record, request.every(int(realisations[0].problem.windows[-1, 1])), width)
 
 
-def _moments(work: Work, request: MomentRequest, unlike: set[Hashable]) -> CellMoments:
+def _moments(work: Work, request: MomentRequest, unmergeable: set[Hashable]) -> CellMoments:
     """Return the moments of a grid point, on all drawn schedules if a trial gave no answer."""
     p = work.plan
-    if not work.ones:
-        return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.bend), ())])
+    if not work.realisations:
+        return _gather(work, [Outcome(nan_sums(sum(_signals(p).values()), work.curvature), ())])
     outcomes = [jax.tree.map(lambda a, at=at: a[..., at : at + 1], future.result()) for future, at in work.calls]
     if work.trial and not _is_sufficient(work, outcomes):
-        if work.ones[0].mode:
-            unlike.add(_kind(p))
-        work, outcomes = work._replace(ones=_draw_realisations(p, request, 0), random=True), []
-        for first in range(0, len(work.ones), MANY):
-            ones = work.ones[first : first + MANY]
-            outcome, count = runner.in_float64(_compute, ones, request), len(ones)
+        if work.realisations[0].mode:
+            unmergeable.add(_kind(p))
+        work, outcomes = work._replace(realisations=_draw_realisations(p, request, 0), random=True), []
+        for first in range(0, len(work.realisations), MANY):
+            realisations = work.realisations[first : first + MANY]
+            outcome, count = runner.in_float64(_compute, realisations, request), len(realisations)
             outcomes.append(jax.tree.map(lambda a, count=count: a[..., :count], outcome))
     return _gather(work, outcomes)
 
 
 def _is_sufficient(work: Work, outcomes: list[Outcome]) -> bool:
     """Return whether the results are sufficient: the modes merged consistently, or the trial showed that nothing is exact."""
-    if work.ones[0].mode:
-        return bool(max(np.max(outcome.unlike) for outcome in outcomes) <= ROUNDING)
+    if work.realisations[0].mode:
+        return bool(max(np.max(outcome.mode_difference) for outcome in outcomes) <= ROUNDING)
     (outcome,) = outcomes
     return bool((relative_deviation(outcome.sums, slice(None), outcome.final_state) > ROUNDING).any())
 
 
-def nan_sums(signals: int, deviation: float) -> Sums:
+def nan_sums(signals: int, curvature: float) -> Sums:
     """Return the sums of a grid point that was not computed: only its deviation from affine."""
     nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), zero_sums(signals, 0, 1))
-    return nan._replace(deviation=np.full((signals, 1), deviation), size=np.ones((signals, 1)))
+    return nan._replace(deviation=np.full((signals, 1), curvature), size=np.ones((signals, 1)))
 
 
 def _gather(work: Work, outcomes: list[Outcome]) -> CellMoments:
     """Return the moments of one grid point from its realisations."""
-    p, modes = work.plan, [one.mode for one in work.ones if one.mode]
+    p, modes = work.plan, [realisation.mode for realisation in work.realisations if realisation.mode]
     outcome: Outcome = jax.tree.map(lambda *a: np.concatenate(a, -1), *outcomes) if len(outcomes) > 1 else outcomes[0]
-    shares = np.array([mode.share for mode in modes]) if modes else None
+    mode_probabilities = np.array([mode.probability for mode in modes]) if modes else None
     labels = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
-    at, signals = 0, {}
+    first, signals = 0, {}
     for name, count in sorted(_signals(p).items()):
-        signals[labels[name]] = slice(at, at + count)
-        at += count
-    n, last = len(p.problem.x0), {}
+        signals[labels[name]] = slice(first, first + count)
+        first += count
+    n, final_errors = len(p.problem.x0), {}
     if outcome.last:
         for name, P in outcome.last.assumed.items():
             states = slice(signals[labels[name]].start, signals[labels[name]].start + n)
             true = np.asarray(outcome.sums.mean[states]), np.asarray(outcome.last.covariance[states, states])
-            last[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
-    total = outcome if shares is None else _over_modes(outcome, shares)
+            final_errors[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
+    total = outcome if mode_probabilities is None else _average_modes(outcome, mode_probabilities)
     return CellMoments(
         plan=p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={})),
         random=work.random,
         signals=signals,
         sums=total.sums,
         rows=total.rows,
-        final_errors=last,
-        mixture=shares is not None or any(one.chance < 1 for one in work.ones),
+        final_errors=final_errors,
+        mixture=mode_probabilities is not None or any(realisation.chance < 1 for realisation in work.realisations),
         final_state=outcome.final_state,
-        shares=shares,
+        mode_probabilities=mode_probabilities,
         refusal=work.refusal,
     )
 
@@ -272,7 +280,7 @@ def _signals(p: Plan) -> dict[str, int]:
     return {name: e.shape[0] + user_defined for name, e in jax.eval_shape(estimates, p.problem).items()}
 
 
-def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
+def _average_modes(outcome: Outcome, mode_probabilities: NDArray[np.float64]) -> Outcome:
     """Return the results of M modes [..., M] as one, [..., 1], weighted by probability; assumed covariances stay per mode.
 
     A sum over ticks is the mean of the modes' sums, as mode probabilities are constant. A variance includes the variance of the
@@ -280,7 +288,7 @@ def _over_modes(outcome: Outcome, shares: NDArray[np.float64]) -> Outcome:
     """
 
     def mean(a: Numbers) -> Numbers:
-        return (a @ shares)[..., None]
+        return (a @ mode_probabilities)[..., None]
 
     s: Sums = jax.tree.map(mean, outcome.sums)
     std = np.sqrt(mean(np.square(outcome.sums.std) + np.square(outcome.sums.mean - s.mean)))

@@ -29,7 +29,7 @@ RUNS_ONLY = {
     "unsettled_rate": "the last of many ticks depends on all of them together",
     "divergence_rate": "the first of many ticks depends on all of them together",
 }
-ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
+NOT_NORMAL = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
 NUMBERS = Estimate._fields[1:]
 ORDER = (
     *("mae", "rmse", "mse", "max_abs_error", "final_error", "settling_time", "recovery_time"),
@@ -37,15 +37,8 @@ ORDER = (
     *("nees", "nees_dof", "signal_nees"),
     *(*POOLED, "divergence_rate", "unsettled_rate", "rms_efficiency", *INSIDE),
 )
-ALWAYS = (
-    "mae",
-    "mse",
-    "final_error",
-    "steady_mae",
-    "steady_mse",
-    *POOLED,
-)  # of every signal with an exact answer
-NORMAL = ("mae", "steady_mae", *INSIDE)  # of a normal error only
+ALWAYS = ("mae", "mse", "final_error", "steady_mae", "steady_mse", *POOLED)  # of every signal with an exact answer
+NORMAL_ONLY = ("mae", "steady_mae", *INSIDE)  # of a normal error only
 
 
 Columns = dict[str, Any]  # by name: an array with one value per row
@@ -66,7 +59,7 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
         if (e := estimates.get(name)) is not None:
             values[:, : len(e.mean), j], n[j] = [field[:n_signals] for field in e[1:]], e.n
     reasons, methods, has_row = _reasons(why, normal)
-    blank = methods == "none"
+    is_missing = methods == "none"
     mask = has_row | ~np.isnan(values[0])
     if not (cell.plan.problem.jumps < cell.plan.cell.times.ticks).any():
         mask[:, ORDER.index("recovery_time")] = False
@@ -75,12 +68,12 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
     if normal and not why and not cell.random:
         final = metric == ORDER.index("final_error")
         spread[:, final] = _quantiles(cell, label)[:, signal[final]]
-    numbers = np.where(blank[metric], np.nan, values[:, signal, metric])
+    numbers = np.where(is_missing[metric], np.nan, values[:, signal, metric])
     return {
         "signal": signal,
         "metric": metric,
         "diverged": np.zeros(len(signal), int),
-        "n": np.where(blank, 0, n)[metric],
+        "n": np.where(is_missing, 0, n)[metric],
         **dict(zip((*NUMBERS, *COLUMNS), (*numbers, *spread), strict=True)),
         "method": methods[metric],
         "reason": reasons[metric],
@@ -90,7 +83,7 @@ def stats_columns(cell: CellMoments, label: str, why: str, bound: Values | None)
 @lru_cache(256)
 def _reasons(why: str, normal: bool) -> tuple[NDArray[np.object_], NDArray[np.object_], NDArray[np.bool_]]:
     """Return for each metric of ORDER the reason for a missing value or None, its `method`, and whether it always has a row."""
-    not_normal = {} if normal else dict.fromkeys(NORMAL, ANOTHER)
+    not_normal = {} if normal else dict.fromkeys(NORMAL_ONLY, NOT_NORMAL)
     texts = [why or RUNS_ONLY.get(metric, "") or not_normal.get(metric, "") for metric in ORDER]
     has_row = [metric in RUNS_ONLY or bool(why and metric in ALWAYS) for metric in ORDER]
     methods = np.array(["none" if reason else "exact" for reason in texts], object)
@@ -101,28 +94,30 @@ def _estimates(cell: CellMoments, label: str, bound: Values | None) -> dict[str,
     """Return every exact metric of the signals."""
     signals, s = cell.signals[label], cell.sums
     n, tail = cell.plan.cell.times.ticks, cell.plan.cell.times.tail
-    out: dict[str, Estimate] = {"final_error": _over(cell, s.mean[signals], True)}
+    out: dict[str, Estimate] = {"final_error": _average(cell, s.mean[signals], True)}
     for i, (prefix, count) in enumerate((("", n), ("steady_", n - tail))):
-        squares = _over(cell, s.square[i, signals] / count)
+        squares = _average(cell, s.square[i, signals] / count)
         pooled_rmse = root(squares)
-        out |= {prefix + "mae": _over(cell, s.absolute[i, signals] / count), prefix + "mse": squares}
+        out |= {prefix + "mae": _average(cell, s.absolute[i, signals] / count), prefix + "mse": squares}
         out |= {prefix + "pooled_rmse": pooled_rmse}
         if cell.plan.layout.controller:
-            out[prefix + "pooled_tracking_rmse"] = root(_over(cell, s.off[i] / count))
-            out[prefix + "pooled_input_rms"] = root(_over(cell, s.input[i][None] / count))
+            out[prefix + "pooled_tracking_rmse"] = root(_average(cell, s.tracking[i] / count))
+            out[prefix + "pooled_input_rms"] = root(_average(cell, s.input[i][None] / count))
             if np.size(cell.plan.problem.weights.Q1 if cell.plan.problem.weights else ()):
-                out[prefix + "lq_cost"] = _over(cell, s.cost[i][None] / count)
+                out[prefix + "lq_cost"] = _average(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
             out["rms_efficiency"] = rms_efficiency(bound[: len(pooled_rmse.mean)], pooled_rmse)
     if label in cell.final_errors:
-        b = cell.final_errors[label]
-        for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(b), strict=True):
-            out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
-        out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, nees.inside(b), strict=True)}
+        final_errors = cell.final_errors[label]
+        for metric, values in zip(("nees", "signal_nees", "nees_dof"), nees.squares(final_errors), strict=True):
+            weights = cell.mode_probabilities
+            out[metric] = _average(cell, values if weights is None else values @ weights[:, None])
+        shares = nees.inside(final_errors)
+        out |= {metric: _average(cell, values) for metric, values in zip(INSIDE, shares, strict=True)}
     return out
 
 
-def _over(cell: CellMoments, values: ArrayLike, is_signed: bool = False) -> Estimate:
+def _average(cell: CellMoments, values: ArrayLike, is_signed: bool = False) -> Estimate:
     """Return values [K, S] averaged over realisations; without an error if there is only one."""
     values = np.asarray(values)
     if cell.random:

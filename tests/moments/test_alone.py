@@ -53,6 +53,6 @@ def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatc
     monkeypatch.setattr(solve, "compute", noted)
     own = pcbench.exact_moments(study).stats
     assert sorted(rings) == [2, 8]
-    monkeypatch.setattr(solve, "_flight", lambda p: False)
+    monkeypatch.setattr(solve, "_noise_in_flight", lambda p: False)
     np.testing.assert_allclose(pcbench.exact_moments(study).stats["mean"], own["mean"], rtol=1e-12, atol=1e-15)
     assert sorted(rings) == [2, 8, 8]

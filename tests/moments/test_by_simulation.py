@@ -118,7 +118,7 @@ def test_a_loop_with_everything_random_is_the_covariance_recursion(found):
     """1e-10: two ways of adding up 90 ticks in double precision."""
     expected = propagated()
     np.testing.assert_allclose(found.square[..., 0], expected["e"], rtol=1e-10)
-    np.testing.assert_allclose(found.off[..., 0], expected["off"], rtol=1e-10)
+    np.testing.assert_allclose(found.tracking[..., 0], expected["off"], rtol=1e-10)
     np.testing.assert_allclose(found.cost[..., 0], expected["cost"], rtol=1e-10)
     np.testing.assert_allclose(found.input[..., 0], expected["u"], rtol=1e-10)
 

@@ -11,7 +11,7 @@ from pcbench import planning
 from pcbench.moments import delay_modes, events
 from pcbench.moments.delay_modes import over_modes
 from pcbench.moments.inputs import Mix
-from pcbench.moments.realisations import Mode, over_losses
+from pcbench.moments.realisations import Mode, realisation_over_losses
 from pcbench.simulation.schedule import common_times, random_times
 from pcbench.study import parse
 
@@ -113,8 +113,8 @@ SHAPES = {
 @pytest.mark.parametrize("asked", [False, True], ids=["", "with the last arrival"])
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape, asked, monkeypatch):
-    monkeypatch.setattr(delay_modes, "asks_last_arrival", lambda layout, problem: asked)
-    monkeypatch.setattr(delay_modes, "MOST", 5000)
+    monkeypatch.setattr(delay_modes, "uses_last_arrival", lambda layout, problem: asked)
+    monkeypatch.setattr(delay_modes, "MOST_MODES", 5000)
     p = plan(**SHAPES[shape])
     clock = p.cell.times.clocks[0]
     chain, each = delay_modes._chain(clock), over_modes(p)
@@ -140,9 +140,9 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
 @pytest.mark.ci
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
-    monkeypatch.setattr(delay_modes, "MOST", 5000)
+    monkeypatch.setattr(delay_modes, "MOST_MODES", 5000)
     each = [one.mode for one in over_modes(plan(**SHAPES[shape]))]
-    share, W = np.array([mode.share for mode in each]), np.zeros((len(each), len(each)))
+    share, W = np.array([mode.probability for mode in each]), np.zeros((len(each), len(each)))
     for mode in each:
         W[mode.number, list(mode.source)] = mode.weight
     assert share.sum() == pytest.approx(1.0, abs=1e-12)
@@ -153,7 +153,7 @@ def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
 def test_what_cannot_be_is_no_mode():
     """A chain that never has the same value twice: of four pairs two are left, each from the other."""
     each = over_modes(plan(delay_self_transition=0.0, delay_values=[0.0, 0.1]))
-    assert [(one.mode.share, one.mode.source) for one in each] == [(0.5, (1,)), (0.5, (0,))]
+    assert [(one.mode.probability, one.mode.source) for one in each] == [(0.5, (1,)), (0.5, (0,))]
 
 
 NOT = {
@@ -266,7 +266,7 @@ def test_who_asks_when_the_last_arrival_was_has_no_recursion_over_losses(tmp_pat
     lossy = {"lti": {k: v for k, v in SMALL["lti"].items() if k != "delay_values"} | {"loss": 0.3}}
     for share, there in (("0.3", True), ("0.3 + 0.01 * arrival.ticks_since_arrival", False)):
         (p,) = planning.plan(parse.parse(own(tmp_path, share) | lossy, "own"))
-        assert (over_losses(p) is not None) is there
+        assert (realisation_over_losses(p) is not None) is there
 
 
 @pytest.mark.nightly
@@ -280,7 +280,7 @@ def test_drawn_schedules_come_to_it_within_their_error(changes, monkeypatch):
     asked = study(**changes)
     asked["options"] |= {"scenario": {"random_initial_state": True, "consistency": True}}
     sure = pcbench.exact_moments(asked).stats
-    monkeypatch.setattr(delay_modes, "MOST", 0)
+    monkeypatch.setattr(delay_modes, "MOST_MODES", 0)
     key = ["observer", "signal", "metric"]
     both = sure.merge(pcbench.exact_moments(asked, schedules=64).stats, on=key, suffixes=("", "_drawn"))
     both = both[(both.method == "exact") & (both.method_drawn == "exact")]

@@ -56,7 +56,7 @@ def mean_square(times, driven):
 @pytest.mark.nightly
 def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatch):
     """As they are where there are too many modes for a recursion (`test_modes`)."""
-    monkeypatch.setattr(delay_modes, "MOST", 0)
+    monkeypatch.setattr(delay_modes, "MOST_MODES", 0)
     stats = pcbench.exact_moments(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
     driven = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     each, ages = zip(*(by_impulses(seed, driven) for seed in range(SCHEDULES)), strict=True)

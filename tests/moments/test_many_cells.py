@@ -8,7 +8,7 @@ import pytest
 
 import pcbench
 from pcbench.moments import programs
-from pcbench.moments.noise_state import steady
+from pcbench.moments.noise_state import is_constant
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -46,9 +46,11 @@ def test_of_many_cells_each_has_the_numbers_that_it_has_alone(observer, drift):
 def test_a_matrix_is_the_same_at_every_tick_where_it_reads_neither_the_tick_nor_the_state():
     p = {"own": jnp.ones((2, 3)), "common": jnp.ones((4, 2))}
     state, own = jnp.ones((2, 3)), (False, True)  # leaves in the order of their names
-    assert steady(p, own, lambda p, k, state: p["own"] * p["common"][0], state)
-    assert not steady(p, own, lambda p, k, state: p["own"] * p["common"][k], state), "it looks numbers up by the tick"
-    assert not steady(p, own, lambda p, k, state: p["own"] * state, state)
+    assert is_constant(p, own, lambda p, k, state: p["own"] * p["common"][0], state)
+    assert not is_constant(p, own, lambda p, k, state: p["own"] * p["common"][k], state), (
+        "it looks numbers up by the tick"
+    )
+    assert not is_constant(p, own, lambda p, k, state: p["own"] * state, state)
 
 
 def test_how_many_go_side_by_side_depends_on_the_cells_of_a_study_alone(monkeypatch):

@@ -9,7 +9,7 @@ import pcbench
 from pcbench import planning
 from pcbench.moments import solve
 from pcbench.moments.affinity import is_curved
-from pcbench.moments.dependence import reach
+from pcbench.moments.dependence import argument_dependence
 from pcbench.moments.realisations import draw_realisation
 from pcbench.simulation import rng
 from pcbench.study import parse
@@ -52,7 +52,10 @@ def test_reach_looks_into_loops_and_branches():
         chosen = jax.lax.cond(c > 0, lambda a, b: (a + 1, b), lambda a, b: (a, a * a), a, b)
         return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
 
-    sets = [set(each) for each in jax.tree.leaves(reach(f, 1.0, 2.0, 3.0), is_leaf=lambda x: isinstance(x, frozenset))]
+    sets = [
+        set(each)
+        for each in jax.tree.leaves(argument_dependence(f, 1.0, 2.0, 3.0), is_leaf=lambda x: isinstance(x, frozenset))
+    ]
     assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench.moments.affinity import ROUNDING, bend
+from pcbench.moments.affinity import ROUNDING, plant_curvature
 from pcbench.protocols import Plant
 
 
@@ -21,16 +21,16 @@ def plan(step, random=True):
 
 
 def test_an_affine_tick_is_straight_to_rounding():
-    assert bend(plan(lambda p, now, x: p @ x + 3.0)) < ROUNDING
+    assert plant_curvature(plan(lambda p, now, x: p @ x + 3.0)) < ROUNDING
 
 
 @pytest.mark.parametrize("f", [jnp.sin, jnp.abs, lambda x: 0.01 * x * x])
 def test_a_bent_one_is_found(f):
-    assert bend(plan(lambda p, now, x: p @ x + f(x))) > 1e-4
+    assert plant_curvature(plan(lambda p, now, x: p @ x + f(x))) > 1e-4
 
 
 def test_what_no_noise_reaches_may_be_bent():
-    assert bend(plan(lambda p, now, x: jnp.sin(x), random=False)) == 0
+    assert plant_curvature(plan(lambda p, now, x: jnp.sin(x), random=False)) == 0
 
 
 def test_numbers_of_a_plant_may_be_looked_up_by_time():
@@ -42,4 +42,4 @@ def test_numbers_of_a_plant_may_be_looked_up_by_time():
 
     looked = plan(step)
     looked.problem.params = table
-    assert bend(looked) < ROUNDING
+    assert plant_curvature(looked) < ROUNDING

@@ -25,9 +25,9 @@ def submitted(monkeypatch):
     """A function of (name, kind, modes) of each cell: the calls of each window, by the names of their realisations."""
     monkeypatch.setattr(solve, "MANY", 4)
     monkeypatch.setattr(solve, "WINDOW", 6)
-    monkeypatch.setattr(solve, "bend", lambda p: 0.0)
+    monkeypatch.setattr(solve, "plant_curvature", lambda p: 0.0)
     monkeypatch.setattr(solve, "refusal_beforehand", lambda p: "")
-    monkeypatch.setattr(solve, "shared_of", lambda problem, known: ())
+    monkeypatch.setattr(solve, "batch_key", lambda problem, known: ())
     monkeypatch.setattr(solve, "width_of", lambda ones, wide: 4)
     mode = SimpleNamespace()
 
