@@ -12,7 +12,7 @@ from pcbench.controllers import CONTROLLERS
 from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
-from pcbench.observers.parts.options import TUNABLE, extra
+from pcbench.observers.parts.options import TUNABLE, option_metadata
 from pcbench.plants import PLANTS, drifts, parameters_in, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
@@ -78,7 +78,7 @@ def options(model: type[BaseModel]) -> dict[str, Description]:
             **facts.option_type(properties[name]),
             "default": properties[name].get("default"),
             "description": field.description or "",
-            "tunable": TUNABLE in extra(field),
+            "tunable": TUNABLE in option_metadata(field),
             **({"required": True} if field.is_required() else {}),
         }
         for name, field in model.model_fields.items()

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from pcbench.errors import UserError, unknown
 from pcbench.observers import ObserverSpec
-from pcbench.observers.parts.options import WAY, extra
+from pcbench.observers.parts.options import METHOD, option_metadata
 from pcbench.planning import context_of, run_design, with_computing_time
 from pcbench.runtime import config
 from pcbench.study import Study
@@ -144,7 +144,9 @@ def replace_options(study: Study, observer: str, options: TomlTable) -> Study:
 
 def _method_option(entry: ObserverSpec) -> str | None:
     """Return the option that selects an observer's design method, or None."""
-    return next((name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)), None)
+    return next(
+        (name for name, field in entry.options.model_fields.items() if option_metadata(field).get(METHOD)), None
+    )
 
 
 def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> TomlTable:
@@ -152,7 +154,7 @@ def _as_options(model: type[BaseModel], options: BaseModel, design: Design) -> T
     out: TomlTable = {}
     for name, field in model.model_fields.items():
         is_open = getattr(options, name) is None or isinstance(getattr(options, name), str)
-        if name not in design.certificate.numbers or not is_open or extra(field).get(WAY):
+        if name not in design.certificate.numbers or not is_open or option_metadata(field).get(METHOD):
             continue
         number = np.asarray(design.certificate.numbers[name], float)
         number = np.where(np.abs(number) < ZERO_TOL * np.abs(number).max(initial=0.0), 0.0, number)

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
 from pcbench.observers import ObserverSpec
-from pcbench.observers.parts.options import TUNABLE, extra
+from pcbench.observers.parts.options import TUNABLE, option_metadata
 from pcbench.protocols import Leaf
 from pcbench.toml_text import TomlTable
 
@@ -51,7 +51,7 @@ class Free(NamedTuple):
 
 def tunable(entry: ObserverSpec) -> list[str]:
     """Return the names of an observer's tunable options."""
-    return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
+    return [name for name, field in entry.options.model_fields.items() if TUNABLE in option_metadata(field)]
 
 
 def start(
@@ -105,7 +105,7 @@ def start(
 def _free(entry: ObserverSpec, name: str, value: object, first: int) -> tuple[Free, Vector]:
     """Return one parameter with the bounds of its option's declaration, and its unbounded numbers at a value."""
     number, field = np.asarray(value, float), entry.options.model_fields[name]
-    bounds, edges = [*field.metadata, *_declarations_of(field.annotation)], extra(field)[TUNABLE]
+    bounds, edges = [*field.metadata, *_declarations_of(field.annotation)], option_metadata(field)[TUNABLE]
     positive = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
     kind = "between" if edges else "positive" if positive else "real"
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
@@ -178,6 +178,8 @@ def _to_unbounded(value: Vector, f: Free) -> Vector:
 
 def _declarations_of(annotation: object) -> list[object]:
     """Return the declarations of all types that an option's value, or an entry of it, may have."""
-    metadata = getattr(annotation, "__metadata__", ())
-    declarations = [m for entry in metadata for m in (entry.metadata if isinstance(entry, FieldInfo) else [entry])]
+    option_metadata = getattr(annotation, "__metadata__", ())
+    declarations = [
+        m for entry in option_metadata for m in (entry.metadata if isinstance(entry, FieldInfo) else [entry])
+    ]
     return declarations + [m for kind in get_args(annotation) for m in _declarations_of(kind)]

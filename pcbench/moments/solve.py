@@ -190,8 +190,8 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], request: MomentRequ
     for work in window:
         count = len(work.realisations) if work.realisations and work.realisations[0].mode else 1
         for first in range(0, len(work.realisations), count):
-            layout, problem, _, _, mode = work.realisations[first]
-            key = layout, batch_key(problem, digests), mode is not None
+            member = work.realisations[first]
+            key = member.layout, batch_key(member.problem, digests), member.mode is not None
             if len(groups.get(key, [])) + count > MANY:
                 call(groups.pop(key))
             groups.setdefault(key, []).extend(

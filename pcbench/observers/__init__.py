@@ -50,7 +50,7 @@ from pcbench.observers.methods import METHODS, Method
 from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
-LONGEST = 80  # characters of a label, which names a folder
+MAX_LABEL_LENGTH = 80  # characters of a label, which names a folder
 Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
 
 
@@ -81,12 +81,12 @@ class ObserverSpec(NamedTuple):
     method: Method | None = None  # description of the method; None: not an observer of pcbench
 
 
-def _of(module: ModuleType, summary: str, takes: Takes = "any schedule", knows_schedule: bool = True) -> ObserverSpec:
+def _spec(module: ModuleType, summary: str, takes: Takes = "any schedule", knows_schedule: bool = True) -> ObserverSpec:
     return ObserverSpec(module.OBSERVER, module.Options, module.design, knows_schedule, summary, takes)
 
 
-def _late(module: ModuleType, summary: str, knows_schedule: bool = True) -> ObserverSpec:
-    return _of(module, summary, knows_schedule=knows_schedule)._replace(smooth=False)
+def _filter(module: ModuleType, summary: str, knows_schedule: bool = True) -> ObserverSpec:
+    return _spec(module, summary, knows_schedule=knows_schedule)._replace(smooth=False)
 
 
 _PCO = ObserverSpec(
@@ -99,43 +99,45 @@ _PCO = ObserverSpec(
 )
 # Kalman filters that differ from `kf` in their treatment of delayed samples.
 LATE = {
-    "kf-ignore-delay": _late(kf_ignore_delay, "Kalman filter that ignores the delay of a sample", knows_schedule=False),
-    "kf-drop-delayed": _late(kf_drop_delayed, "Kalman filter that drops samples older than a limit"),
-    "kf-reprocess": _late(kf_reprocess, "Kalman filter that filters again from a past sample"),
-    "kf-cloning": _late(kf_cloning, "Kalman filter with copies of past states"),
-    "kf-larsen": _late(kf_larsen, "Kalman filter that extrapolates a delayed sample"),
-    "kf-alexander": _late(kf_alexander, "Kalman filter that updates P at the sampling time"),
-    "kf-delayed-horizon": _late(kf_delayed_horizon, "Kalman filter at a fixed lag, with a prediction"),
-    "kf-shifted-innovation": _late(
+    "kf-ignore-delay": _filter(
+        kf_ignore_delay, "Kalman filter that ignores the delay of a sample", knows_schedule=False
+    ),
+    "kf-drop-delayed": _filter(kf_drop_delayed, "Kalman filter that drops samples older than a limit"),
+    "kf-reprocess": _filter(kf_reprocess, "Kalman filter that filters again from a past sample"),
+    "kf-cloning": _filter(kf_cloning, "Kalman filter with copies of past states"),
+    "kf-larsen": _filter(kf_larsen, "Kalman filter that extrapolates a delayed sample"),
+    "kf-alexander": _filter(kf_alexander, "Kalman filter that updates P at the sampling time"),
+    "kf-delayed-horizon": _filter(kf_delayed_horizon, "Kalman filter at a fixed lag, with a prediction"),
+    "kf-shifted-innovation": _filter(
         kf_shifted_innovation, "Kalman filter with a shifted delayed innovation", knows_schedule=False
     ),
-    "oosm-a1": _late(oosm_a1, "exact out-of-sequence update over one step"),
-    "oosm-b1": _late(oosm_b1, "out-of-sequence update that neglects process noise"),
-    "oosm-lag": _late(oosm_lag, "out-of-sequence update over several steps"),
+    "oosm-a1": _filter(oosm_a1, "exact out-of-sequence update over one step"),
+    "oosm-b1": _filter(oosm_b1, "out-of-sequence update that neglects process noise"),
+    "oosm-lag": _filter(oosm_lag, "out-of-sequence update over several steps"),
 }
 # Estimators for nonlinear plants in addition to `ekf`; like it, they use a sample of any age at its sampling time.
 NONLINEAR = {
-    "ekf-iterated": _late(ekf_iterated, "EKF with iterated linearisation of the sensor")._replace(nonlinear=True),
-    "ukf": _late(ukf, "unscented (or cubature) Kalman filter")._replace(nonlinear=True, lanes=particle.LANES),
-    "mhe": _late(mhe, "moving-horizon estimation, optionally with bounds")._replace(
+    "ekf-iterated": _filter(ekf_iterated, "EKF with iterated linearisation of the sensor")._replace(nonlinear=True),
+    "ukf": _filter(ukf, "unscented (or cubature) Kalman filter")._replace(nonlinear=True, lanes=particle.LANES),
+    "mhe": _filter(mhe, "moving-horizon estimation, optionally with bounds")._replace(
         nonlinear=True, expensive=True, loops=False
     ),
-    "particle": _late(particle, "bootstrap particle filter with systematic resampling", knows_schedule=False)._replace(
-        nonlinear=True, expensive=True, lanes=particle.LANES
-    ),
+    "particle": _filter(
+        particle, "bootstrap particle filter with systematic resampling", knows_schedule=False
+    )._replace(nonlinear=True, expensive=True, lanes=particle.LANES),
 }
 # Observers that estimate an unknown delay.
 DELAYS = {
-    "ekf-delay": _late(ekf_delay, "EKF with the delay as an additional state", knows_schedule=False)._replace(
+    "ekf-delay": _filter(ekf_delay, "EKF with the delay as an additional state", knows_schedule=False)._replace(
         loops=False
     ),
-    "mmae-delay": _late(mmae_delay, "weighted Kalman filters, one per assumed delay", knows_schedule=False)._replace(
+    "mmae-delay": _filter(mmae_delay, "weighted Kalman filters, one per assumed delay", knows_schedule=False)._replace(
         loops=False
     ),
 }
 OBSERVERS = {
-    "pccebo": _of(pccebo, "current estimator with predictor", "one clock")._replace(designed={"gain": "riccati"}),
-    "kfbo": _of(kfbo, "Kalman filter of the held, delayed measurement", "one constant delay", False)._replace(
+    "pccebo": _spec(pccebo, "current estimator with predictor", "one clock")._replace(designed={"gain": "riccati"}),
+    "kfbo": _spec(kfbo, "Kalman filter of the held, delayed measurement", "one constant delay", False)._replace(
         designed={"R": "noise"}
     ),
     "pco": _PCO._replace(designed={"Kp": "lmi"}),
@@ -144,37 +146,39 @@ OBSERVERS = {
         summary="pco with an integral term",
         designed={"Kp": "lmi", "Ki": "lmi"},
     ),
-    "chain": _of(chain, "chain of observers, one per delay", "constant delays")._replace(designed={"gain": "riccati"}),
-    "equal-delay": _of(equal_delay, "observer designed with one delay for all channels", "constant delays", False),
-    "no-delay": _of(no_delay, "classical observer, designed without delay", "constant delays", False),
-    "smo": _of(smo, "sliding-mode observer for unknown inputs", "one constant delay")._replace(
+    "chain": _spec(chain, "chain of observers, one per delay", "constant delays")._replace(
+        designed={"gain": "riccati"}
+    ),
+    "equal-delay": _spec(equal_delay, "observer designed with one delay for all channels", "constant delays", False),
+    "no-delay": _spec(no_delay, "classical observer, designed without delay", "constant delays", False),
+    "smo": _spec(smo, "sliding-mode observer for unknown inputs", "one constant delay")._replace(
         smooth=False, designed={"gains": "design"}
     ),
-    "pio": _of(pio, "PI observer with a sign term for unknown inputs", "one constant delay")._replace(
+    "pio": _spec(pio, "PI observer with a sign term for unknown inputs", "one constant delay")._replace(
         smooth=False, designed={"gains": "design"}
     ),
-    "high-gain": _of(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
-    "eso": _of(eso, "extended state observer with predictor", "one clock"),
-    "cascade-predictor": _of(cascade_predictor, "chain of predictors for long delays", "one constant delay")._replace(
+    "high-gain": _spec(high_gain, "high-gain observer with output predictor")._replace(nonlinear=True),
+    "eso": _spec(eso, "extended state observer with predictor", "one clock"),
+    "cascade-predictor": _spec(cascade_predictor, "chain of predictors for long delays", "one constant delay")._replace(
         nonlinear=True
     ),
-    "cdob": _of(communication_disturbance, "communication disturbance observer, for any delay", "one clock", False),
-    "super-twisting": _of(super_twisting, "super-twisting observer, implicit discretisation", "one clock")._replace(
+    "cdob": _spec(communication_disturbance, "communication disturbance observer, for any delay", "one clock", False),
+    "super-twisting": _spec(super_twisting, "super-twisting observer, implicit discretisation", "one clock")._replace(
         smooth=False, nonlinear=True
     ),
-    "finite-time": _of(finite_time, "finite-time observer with a delay inside", "one clock"),
-    "high-gain-predictor": _of(high_gain_predictor, "high-gain observer for any plant with one output")._replace(
+    "finite-time": _spec(finite_time, "finite-time observer with a delay inside", "one clock"),
+    "high-gain-predictor": _spec(high_gain_predictor, "high-gain observer for any plant with one output")._replace(
         nonlinear=True
     ),
-    "interval": _of(interval, "interval observer: bounds of the state", "one clock"),
-    "lmi-sampled": _of(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
-    "ekf": _late(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
-    "kf": _of(kf, "Kalman filter that uses samples at their sampling time"),
-    "kf-event": _of(kf_event, "Kalman filter for send on delta, which uses silence"),
+    "interval": _spec(interval, "interval observer: bounds of the state", "one clock"),
+    "lmi-sampled": _spec(lmi_sampled, "held innovations, gain by LMI for aperiodic samples")._replace(nonlinear=True),
+    "ekf": _filter(ekf, "EKF that uses samples at their sampling time")._replace(nonlinear=True),
+    "kf": _spec(kf, "Kalman filter that uses samples at their sampling time"),
+    "kf-event": _spec(kf_event, "Kalman filter for send on delta, which uses silence"),
     **NONLINEAR,
     **LATE,
     **DELAYS,
-    "model-only": _of(model_only, "model that ignores all measurements"),
+    "model-only": _spec(model_only, "model that ignores all measurements"),
 }
 for _name in (
     *("kf", "kf-ignore-delay", "kf-drop-delayed", "kf-reprocess", "kf-shifted-innovation", "kf-cloning", "kf-larsen"),
@@ -189,8 +193,8 @@ def base_of(label: str) -> str | None:
     if label in OBSERVERS:
         return label
     names = [name for name in OBSERVERS if label.startswith(name + "-")]
-    plain = label.isprintable() and len(label) <= LONGEST
-    return max(names, key=len, default=None) if plain else None
+    is_valid = label.isprintable() and len(label) <= MAX_LABEL_LENGTH
+    return max(names, key=len, default=None) if is_valid else None
 
 
 def entry_of(label: str) -> ObserverSpec:

@@ -103,10 +103,10 @@ def next_state(gains: Gains, now: Now, x: Float[Array, " n"], lag: Int[Array, ""
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance every link by one tick, and predict the delayed output."""
-    C, k, count = gains.C, memory.tick, gains.d.shape[0]
+    C, k, n_links = gains.C, memory.tick, gains.d.shape[0]
     past = write(memory.past, k, memory.x, jnp.asarray(True))
     links, y, reference = [], memory.y, memory.y
-    for j in range(count):
+    for j in range(n_links):
         previous = at_sample(past, k - gains.d[j])[j]
         x = next_state(gains, now, memory.x[j], gains.lag[j]) + gains.K @ (reference - C @ previous)
         links.append(jnp.where(k >= gains.lag[j], x, memory.x[j]))
@@ -127,11 +127,8 @@ OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 def design(context: DesignContext, options: Options) -> Design:
     """Divide the delay, place the poles of each link, and certify the error maps."""
-    where, period, delay = (
-        f"cascade-predictor in {context.scenario}",
-        one_clock(context, "cascade-predictor"),
-        context.delay[0],
-    )
+    where, delay = f"cascade-predictor in {context.scenario}", context.delay[0]
+    period = one_clock(context, "cascade-predictor")
     if options.links is not None and options.links > max(delay, 1):
         raise UserError(
             f"{where}: got links = {options.links}, expected at most {max(delay, 1)}, one per tick of the delay; give fewer."

@@ -93,10 +93,10 @@ class Options(StrictOptions):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at xhat(0), before the first sample."""
     (q, n), room = gains.model.C.shape, gains.room
-    arrived = (ring(room, jnp.zeros(())),) * q
+    residuals = (ring(room, jnp.zeros(())),) * q
     has_arrived = (ring(room, jnp.asarray(False)),) * q
     past = ring(room, jnp.zeros(n))
-    return Memory(sample_rate.start(xhat0), past, arrived, has_arrived, jnp.zeros(q), jnp.zeros(q, bool))
+    return Memory(sample_rate.start(xhat0), past, residuals, has_arrived, jnp.zeros(q), jnp.zeros(q, bool))
 
 
 def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
@@ -114,14 +114,14 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
     """Return the estimate at the stamp of each link [q, n], longest delay first, from all samples that have arrived."""
     k, C, channels = memory.run.sample, gains.model.C, range(gains.model.C.shape[0])
 
-    def link(before: tuple[Array, Array], this: Links) -> tuple[tuple[Array, Array], Array]:
-        nonempty = this.source > this.stamp  # a link over no samples passes its inputs on
-        z = at_sample(memory.past, k - this.source)
+    def link(previous: tuple[Array, Array], params: Links) -> tuple[tuple[Array, Array], Array]:
+        nonempty = params.source > params.stamp  # a link over no samples passes its inputs on
+        z = at_sample(memory.past, k - params.source)
         expected = C @ z
-        y = jnp.stack([_sample(gains, memory, j, this.source, expected[j]) for j in channels])
-        ybar = jnp.where(this.has_arrived > 0, y, before[1])
-        estimate = jnp.where(nonempty, this.F @ z + this.K @ ybar, before[0])
-        yhat = jnp.where(nonempty, this.W @ z + this.V @ ybar, before[1])
+        y = jnp.stack([_sample(gains, memory, j, params.source, expected[j]) for j in channels])
+        ybar = jnp.where(params.has_arrived > 0, y, previous[1])
+        estimate = jnp.where(nonempty, params.F @ z + params.K @ ybar, previous[0])
+        yhat = jnp.where(nonempty, params.W @ z + params.V @ ybar, previous[1])
         return (estimate, yhat), estimate
 
     return lax.scan(link, (jnp.zeros(C.shape[1]), jnp.zeros(C.shape[0])), gains.links)[1]
@@ -131,26 +131,25 @@ def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected:
     """Return channel j's reduced sample of `age` samples ago, or `expected` if it has not arrived."""
     sample, is_newest = memory.run.sample - age, age == gains.tau[j]
     has_arrived = jnp.where(is_newest, memory.mask[j], at_sample(memory.has_arrived[j], sample)) & (sample >= 0)
-    return jnp.where(
-        has_arrived, jnp.where(is_newest, memory.value[j], at_sample(memory.residuals[j], sample)), expected
-    )
+    value = jnp.where(is_newest, memory.value[j], at_sample(memory.residuals[j], sample))
+    return jnp.where(has_arrived, value, expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick; at a sampling tick, store the samples that have arrived."""
-    run, due = sample_rate.flow(gains.model, memory.run, now)
+    run, is_sample = sample_rate.flow(gains.model, memory.run, now)
     k, past = memory.run.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
-        past = write(past, k - stamp[i], estimate, due & (source[i] > stamp[i]))
+        past = write(past, k - stamp[i], estimate, is_sample & (source[i] > stamp[i]))
     channels = range(len(memory.residuals))
     return Memory(
         run,
         past,
-        tuple(write(memory.residuals[j], k - gains.tau[j], memory.value[j], due) for j in channels),
-        tuple(write(memory.has_arrived[j], k - gains.tau[j], memory.mask[j], due) for j in channels),
+        tuple(write(memory.residuals[j], k - gains.tau[j], memory.value[j], is_sample) for j in channels),
+        tuple(write(memory.has_arrived[j], k - gains.tau[j], memory.mask[j], is_sample) for j in channels),
         memory.value,
-        memory.mask & ~due,
+        memory.mask & ~is_sample,
     )
 
 

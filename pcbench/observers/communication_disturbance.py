@@ -36,7 +36,7 @@ from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
-from pcbench.observers.parts.common import xhat
+from pcbench.observers.parts.common import no_snapshot, xhat
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import bandwidth
@@ -75,11 +75,6 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(xhat0, jnp.zeros(1), xhat0)
 
 
-def snapshot(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Return nothing: a sample is used at its arrival only."""
-    return jnp.zeros(0)
-
-
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Correct z and dh by the arriving sample as if it had been taken now, and xhat by the same amount as z."""
     innovation = jnp.where(arrival.mask, arrival.value - gains.C @ memory.z, 0.0)
@@ -93,7 +88,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return Memory(z, memory.dh, gains.Phi @ memory.xhat + gains.Gamma @ now.u)
 
 
-OBSERVER = Observer(init, snapshot, jump, flow, xhat)
+OBSERVER = Observer(init, no_snapshot, jump, flow, xhat)
 
 
 def design(context: DesignContext, options: Options) -> Design:
@@ -111,10 +106,10 @@ def design(context: DesignContext, options: Options) -> Design:
             "integrators, as an error of the start would grow too; take kf."
         )
     seconds = period * context.dt
-    Phi, push = linear.discretize_zoh(model.A, model.B, seconds)
+    Phi, Gamma_sample = linear.discretize_zoh(model.A, model.B, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
     n = len(Phi)
-    joint_map, C = np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
+    joint_map, C = np.block([[Phi, Gamma_sample], [np.zeros((1, n)), np.eye(1)]]), np.hstack([model.C, [[0.0]]])
     L = bandwidth.current_gain(joint_map, C, pole, pole, where)
     Phi, Gamma = linear.one_tick(model, context.dt)
     return Design(Gains(Phi, Gamma, model.C, L[:n], L[n:]), no_certificate("it ignores delays"))

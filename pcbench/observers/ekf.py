@@ -36,12 +36,12 @@ from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
     clip_parameters,
+    decorrelate,
     linearize_output,
     linearize_sensor,
-    nearest,
     now_at,
     predict_joint,
-    value_of,
+    value_near,
 )
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.observers.parts.robust_update import AnyPosterior
@@ -66,7 +66,7 @@ class Options(nonlinear_model.Options):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at the prior: xhat(0), the initial p, and P0."""
-    z, q = nonlinear_model.initial_augmented(gains, xhat0), gains.C.shape[0]
+    z, q = nonlinear_model.initial_joint_state(gains, xhat0), gains.C.shape[0]
     first = robust_update.initial_posterior(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
     return Memory(reorder_buffer.start(first, gains.room, q, 0), z)
 
@@ -75,39 +75,39 @@ def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) ->
     """Propagate mean and covariance to the sampling time, and update there, channel by channel."""
     z, P = predict_joint(gains, now, before, sample.tick)
     if gains.sensor is not None:
-        z, P, rejections = by_slope(gains, now_at(now, sample.tick), before._replace(mean=z, P=P), sample)
-        return robust_update.after(before, clip_parameters(gains, z), P, sample.tick, rejections)
-    value, rejections, R = value_of(gains, sample.value), [], sample.variances(gains.R)
+        z, P, rejections = update_linearized(gains, now_at(now, sample.tick), before._replace(mean=z, P=P), sample)
+        return robust_update.new_posterior(before, clip_parameters(gains, z), P, sample.tick, rejections)
+    value, rejections, R = decorrelate(gains, sample.value), [], sample.variances(gains.R)
     n, zeros = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, mask = gains.C[channel], R[channel], sample.mask[channel]
         Pc = P[:, :n] @ c
         nu = value[channel] - c @ z[:n]
-        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
+        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
         K = kalman.gain(Pc, c @ Pc[:n] + r, is_used)
         z = z + K * nu
         P = kalman.covariance(P, K, jnp.concatenate([c, zeros]), r)
-        rejections.append(out)
-    return robust_update.after(before, clip_parameters(gains, z), P, sample.tick, rejections)
+        rejections.append(count)
+    return robust_update.new_posterior(before, clip_parameters(gains, z), P, sample.tick, rejections)
 
 
-def by_slope(
+def update_linearized(
     gains: Gains, sample_now: Now, before: AnyPosterior, sample: Measurement
 ) -> tuple[Array, Array, list[Array]]:
     """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
     z = prior = before.mean
     P, rejections, R = before.P, [], sample.variances(gains.R)
     y, C = linearize_sensor(gains, sample_now, z[: gains.P0.shape[0]])
-    C, value = kalman.pad_columns(C, z.shape[0]), nearest(gains, sample.value, y)
+    C, value = kalman.pad_columns(C, z.shape[0]), value_near(gains, sample.value, y)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], R[channel]
         Pc = P @ c
         nu = value[channel] - y[channel] - c @ (z - prior)
-        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
+        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
         K = kalman.gain(Pc, c @ Pc + r, is_used)
         z = z + K * nu
         P = kalman.covariance(P, K, c, r)
-        rejections.append(out)
+        rejections.append(count)
     return z, P, rejections
 
 
@@ -154,21 +154,22 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), tick=sample.tick)
 
     if buffer.samples.tick.shape[0]:
-        use = partial(update, gains, now)
-        start = buffer._replace(before=first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N)))
-        state = reorder_buffer.newest_with_copy(use, copy, start, sample._replace(tick=marker))
+        update_at = partial(update, gains, now)
+        joint = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N))
+        marked = sample._replace(tick=marker)
+        state = reorder_buffer.newest_with_copy(update_at, copy, buffer._replace(before=joint), marked)
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = predict_joint(gains, now, first, sample.tick)
     (y, C), prior = linearize_output(gains, now_at(now, sample.tick), z), z
-    value, total, R = nearest(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
+    value, stats, R = value_near(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(C.shape[0]):
         c, r = C[channel], R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - prior), c @ P @ c + r
-        total = kalman.add_innovation(total, nu, s, mask[channel])
+        stats = kalman.add_innovation(stats, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])
         z, P = z + K * nu, kalman.covariance(P, K, c, r)
-    return total
+    return stats
 
 
 def _vmap_large(f: Callable[..., Any]) -> Callable[..., Any]:

@@ -35,17 +35,17 @@ from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
 from pcbench.observers.parts.common import no_snapshot
-from pcbench.observers.parts.unknown_delay import Gains, predict_linear, signals_of, spread
+from pcbench.observers.parts.unknown_delay import Gains, predict_linear, signal_covariance, signals_of
 from pcbench.protocols import Arrival, Leaf, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
 
 class Memory(NamedTuple):
-    """State and delay at tick `at`, and the present estimate."""
+    """State and delay at tick `tick`, and the present estimate."""
 
     z: Float[Array, " n+1"]
     P: Float[Array, "n+1 n+1"]
-    tick: Int[Array, ""]  # tick
+    tick: Int[Array, ""]
     xhat: Float[Array, " n"]
 
 
@@ -100,19 +100,20 @@ def _update_at_sample(gains: Gains, memory: Memory, now: Now, arrival: Arrival) 
     """Predict to the base tick, update there by a sample taken between ticks, and predict to the present."""
     base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
     z, P = predict_linear(*joint(gains), now, memory.z, memory.P, memory.tick, base)
-    place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
-    first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
-    part, prior = place - first, predict_sample(gains, now, z[:n], base, first)
+    sampling_tick = jnp.clip(unknown_delay.expected_arrival_tick(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
+    first = jnp.clip(jnp.floor(sampling_tick), base, jnp.maximum(now.tick - 1, base)).astype(int)
+    fraction, prior = sampling_tick - first, predict_sample(gains, now, z[:n], base, first)
     (xa, Fa), (xb, Fb) = prior.before, prior.after
-    H = jnp.concatenate([gains.C @ ((1 - part) * Fa + part * Fb), -(gains.C @ (xb - xa) / gains.dt)[:, None]], 1)
-    y, start = gains.C @ ((1 - part) * xa + part * xb), z
+    H_x, H_tau = gains.C @ ((1 - fraction) * Fa + fraction * Fb), -(gains.C @ (xb - xa) / gains.dt)
+    H = jnp.concatenate([H_x, H_tau[:, None]], 1)
+    y, z_prior = gains.C @ ((1 - fraction) * xa + fraction * xb), z
     for channel in range(gains.C.shape[0]):
         c, r, mask = H[channel], gains.R[channel], arrival.mask[channel]
-        nu = arrival.value[channel] - y[channel] - c @ (z - start)
+        nu = arrival.value[channel] - y[channel] - c @ (z - z_prior)
         K = kalman.gain(P @ c, c @ P @ c + r, mask)
         z, P = z + jnp.where(mask, K * nu, 0.0), kalman.covariance(P, K, c, r)
     z = z.at[n].set(jnp.clip(z[n], 0.0, gains.longest * gains.dt))
-    return Memory(z, P, base, prior.x + prior.F @ (z[:n] - start[:n]))
+    return Memory(z, P, base, prior.x + prior.F @ (z[:n] - z_prior[:n]))
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -133,8 +134,8 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance: P at the base tick, propagated."""
 
-    def present(z: Array, P: Array, at: Array) -> Array:
-        return spread(gains, predict_linear(*joint(gains), now, z, P, at, now.tick)[1])
+    def present(z: Array, P: Array, tick: Array) -> Array:
+        return signal_covariance(gains, predict_linear(*joint(gains), now, z, P, tick, now.tick)[1])
 
     return vmap_as_unit(present)(memory.z, memory.P, memory.tick)
 

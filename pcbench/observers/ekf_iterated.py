@@ -16,7 +16,7 @@ from jax import Array
 from pydantic import Field
 
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import Linear
+from pcbench.observers.parts.kalman import LinearizedSensor
 from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, linearize_output
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import State
@@ -40,7 +40,8 @@ def update_about(
     gains: Gains, now: Now, state: State, sample: Measurement, z_lin: Array
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean, covariance and innovation statistics after a sample, with the sensor linearised at `z_lin`."""
-    return kalman.by_slope(gains, state.mean, state.P, Linear(*linearize_output(gains, now, z_lin), z_lin), sample)
+    sensor = LinearizedSensor(*linearize_output(gains, now, z_lin), z_lin)
+    return kalman.update_linearized(gains, state.mean, state.P, sensor, sample)
 
 
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:

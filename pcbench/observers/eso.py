@@ -97,13 +97,14 @@ def design(context: DesignContext, options: Options) -> Design:
     row = chain.row / chain.b * (options.model == "chain")
     E = chain.G  # A - E row is a chain of integrators: C (A - E row)^n = 0
     joint_model = linear.with_unknown_input(model._replace(A=model.A - E @ row, E=E))
-    Phi, push = linear.discretize_zoh(model.A - E @ row, E, seconds)
+    Phi, Gamma_sample = linear.discretize_zoh(model.A - E @ row, E, seconds)
     pole = options.pole if options.omega is None else exp(-options.omega * seconds)
-    L = bandwidth.current_gain(np.block([[Phi, push], [np.zeros((1, n)), np.eye(1)]]), joint_model.C, pole, pole, where)
+    joint_map = np.block([[Phi, Gamma_sample], [np.zeros((1, n)), np.eye(1)]])
+    L = bandwidth.current_gain(joint_map, joint_model.C, pole, pole, where)
     prior = np.where(np.diag(context.P0) > 0, np.diag(context.P0), 1.0)
     # variance of d that changes x by the prior's standard deviation in a period
-    size = float(np.min(prior / np.maximum(push[:, 0] ** 2, 1e-300)))
-    joint_context = context._replace(model=joint_model, P0=block_diag(context.P0, [[size]]), process_std=())
+    variance = float(np.min(prior / np.maximum(Gamma_sample[:, 0] ** 2, 1e-300)))
+    joint_context = context._replace(model=joint_model, P0=block_diag(context.P0, [[variance]]), process_std=())
     L, certificate = current_gains.find(joint_context, "given", L, 0.0, None, None, where)
     certificate = certificate._replace(inequality="[P, M'; M, P] > 0, M = P (I - L C) Phi, of state and disturbance")
     unknown0 = context.unknown0 if model.E is not None else ()

@@ -145,15 +145,15 @@ def design(context: DesignContext, options: Options) -> Design:
             "the helicopter; take ekf, or an observer for linear plants."
         )
     low, high = np.array(context.unknown_range).T
-    free = np.full_like(low, np.inf)
+    unbounded = np.full_like(low, np.inf)
     robust = options.robust
     gains = Gains(
         parts=context.parts,
         theta=np.asarray(options.theta),
         rho=np.asarray(options.rho if robust else 0.0),
         fastest=np.asarray(FASTEST if robust else np.inf),
-        low=low if robust else -free,
-        high=high if robust else free,
+        low=low if robust else -unbounded,
+        high=high if robust else unbounded,
         start=np.array(context.unknown0),
     )
     return Design(gains, sampled_high_gain.certificate(options.theta, max(context.period) * context.dt))

@@ -108,8 +108,8 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return r at a tick at or after the sample."""
     s = tick - ball.tick
-    spread = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
-    return spread + jnp.take(gains.noise, s, axis=0, mode="clip")
+    propagated_radius = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
+    return propagated_radius + jnp.take(gains.noise, s, axis=0, mode="clip")
 
 
 def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
@@ -124,9 +124,9 @@ def correct(gains: Gains, before: Ball, sample: Measurement) -> Ball:
 def bounds(gains: Gains, memory: Memory) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Return lower and upper bound of the present state."""
     ball = reorder_buffer.newest(lambda state, sample: correct(gains, state, sample), memory.buffer)
-    half = jnp.abs(gains.V) @ radius(gains, ball, memory.tick)
-    half = half + ROUNDING * (half + jnp.abs(memory.xhat))
-    return memory.xhat - half, memory.xhat + half
+    half_width = jnp.abs(gains.V) @ radius(gains, ball, memory.tick)
+    half_width = half_width + ROUNDING * (half_width + jnp.abs(memory.xhat))
+    return memory.xhat - half_width, memory.xhat + half_width
 
 
 jump = prediction.make_jump(correct, lambda ball: Point(ball.free, ball.tick))
@@ -153,14 +153,14 @@ def design(context: DesignContext, options: Options) -> Design:
     else:
         L = interval_observer.gain(Phi, model.C, options.pole, options.poles, where)
     modes, certificate = interval_observer.certify(Phi, model.C, L, where)
-    size, axes = np.linalg.eigh(context.process_noise)
-    columns = options.sigmas * axes * np.sqrt(np.maximum(size, 0.0))
+    variances, axes = np.linalg.eigh(context.process_noise)
+    columns = options.sigmas * axes * np.sqrt(np.maximum(variances, 0.0))
     if options.process_bound is not None:
-        columns = np.diag(_bound(options.process_bound, size, f"{where}: process_bound", "state"))
+        columns = np.diag(_bound(options.process_bound, variances, f"{where}: process_bound", "state"))
     std = options.sigmas * np.array(context.noise_std)
     vmax = _bound(options.noise_bound, std, f"{where}: noise_bound", "output")
-    box = options.sigmas * np.sqrt(np.diag(context.P0))
-    box = _bound(options.initial_bound, box, f"{where}: initial_bound", "state")
+    initial_bound = options.sigmas * np.sqrt(np.diag(context.P0))
+    initial_bound = _bound(options.initial_bound, initial_bound, f"{where}: initial_bound", "state")
     noise = interval_observer.accumulate_noise(Phi_tick, columns, modes.back, context.ticks)
     width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, context.ticks)], vmax)
     gains = Gains(
@@ -168,7 +168,7 @@ def design(context: DesignContext, options: Options) -> Design:
         C=model.C,
         D=model.feedthrough,
         **modes._asdict(),
-        start=np.abs(modes.back) @ box,
+        start=np.abs(modes.back) @ initial_bound,
         vmax=vmax,
         noise=noise,
         room=context.room,

@@ -77,9 +77,8 @@ def predict_memory(gains: Gains, memory: Memory, now: Now) -> Memory:
 def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -> Memory:
     """Update the covariance for the sample that is taken now, and store its gain until it arrives."""
     memory = predict_memory(gains, memory, now)
-    slot = (jnp.arange(memory.sampling_ticks.shape[0]) == memory.n_samples % memory.sampling_ticks.shape[0]) & jnp.any(
-        mask
-    )
+    J = memory.sampling_ticks.shape[0]
+    slot = (jnp.arange(J) == memory.n_samples % J) & jnp.any(mask)
     P, L = memory.P, jnp.where(slot[:, None, None], 0.0, memory.K)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
@@ -102,7 +101,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
     slot = (memory.sampling_ticks == sample.tick).astype(float)
     expected = gains.C @ (slot @ memory.then)
-    e = jnp.where(sample.mask, linear_filter.value_of(gains, sample) - expected, 0.0)
+    e = jnp.where(sample.mask, linear_filter.decorrelated_value(gains, sample) - expected, 0.0)
     K = jnp.einsum("j,jnq->nq", slot, memory.K)
     return memory._replace(xhat=memory.xhat + K @ e)
 
@@ -110,7 +109,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance as if all samples taken had arrived."""
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.covariance_tick, memory.P)
-    return linear_filter.spread(gains, memory, P)
+    return linear_filter.signal_covariance(gains, memory, P)
 
 
 OBSERVER = Observer(
@@ -126,8 +125,6 @@ OBSERVER = Observer(
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the samples in transit; there is no certificate."""
-    room, reason = (
-        stochastic_cloning.room(context, "kf-alexander"),
-        "its covariance includes measurements that have not arrived",
-    )
+    room = stochastic_cloning.room(context, "kf-alexander")
+    reason = "its covariance includes measurements that have not arrived"
     return linear_filter.design(context, options, "kf-alexander", extra=room, reason=reason)

@@ -70,14 +70,14 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Buffer samples younger than the lag, use samples of that age, and drop older ones."""
     sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
     due = now.tick - gains.extra.lag
-    place = jnp.arange(memory.buffer.tick.shape[0]) == jnp.argmin(memory.buffer.tick)
+    is_slot = jnp.arange(memory.buffer.tick.shape[0]) == jnp.argmin(memory.buffer.tick)
 
     def store(room: Array, entry: Array) -> Array:
-        return jnp.where(jnp.reshape(place, (-1, *[1] * entry.ndim)), entry[None], room)
+        return jnp.where(jnp.reshape(is_slot, (-1, *[1] * entry.ndim)), entry[None], room)
 
     with_sample = memory._replace(buffer=jax.tree.map(store, memory.buffer, sample))
-    later_use = select_memory(sample.mask & (sample.tick > due), with_sample, memory)
-    return select_memory(sample.mask & (sample.tick == due), _apply_sample(gains, memory, now.tick, sample), later_use)
+    buffered = select_memory(sample.mask & (sample.tick > due), with_sample, memory)
+    return select_memory(sample.mask & (sample.tick == due), _apply_sample(gains, memory, now.tick, sample), buffered)
 
 
 def _apply_sample(gains: Gains, memory: Memory, tick: Array, sample: Measurement) -> Memory:

@@ -34,8 +34,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return the innovation statistics of the samples that are used."""
-    young = arrival._replace(mask=arrival.mask & (arrival.age <= gains.extra))
-    return linear_filter.innovation(gains, memory, now, young)
+    usable = arrival._replace(mask=arrival.mask & (arrival.age <= gains.extra))
+    return linear_filter.innovation(gains, memory, now, usable)
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)

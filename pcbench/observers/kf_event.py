@@ -60,9 +60,9 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         ratio = jnp.where(silent, 1 + gains.extra**2 / (3 * gains.R), ratio)
         value = jnp.where(silent, memory.last_values, arrival.value)
         arrival = arrival._replace(value=value, mask=arrival.mask | silent)
-    after = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
+    kf = linear_filter.jump(gains, memory.kf, now, arrival._replace(variance_ratio=ratio))
     has_sample = jnp.any(arrival.mask)  # False if silence is not used and nothing has arrived
-    return Memory(jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), after, memory.kf), last_value)
+    return Memory(jax.tree.map(lambda a, b: jnp.where(has_sample, a, b), kf, memory.kf), last_value)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:

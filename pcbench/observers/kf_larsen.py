@@ -34,8 +34,6 @@ OBSERVER = stochastic_cloning.observer(local)
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the assumptions, with room for the copies; there is no certificate."""
-    room, reason = (
-        stochastic_cloning.room(context, "kf-larsen"),
-        "its innovation ignores measurements that arrive in between",
-    )
+    room = stochastic_cloning.room(context, "kf-larsen")
+    reason = "its innovation ignores measurements that arrive in between"
     return linear_filter.design(context, options, "kf-larsen", extra=room, reason=reason)

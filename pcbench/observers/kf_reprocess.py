@@ -29,7 +29,7 @@ class Options(linear_filter.Options):
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use a sample unless it is older than the state before the stored samples."""
     sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
-    updated_memory = linear_filter.use(gains, memory, now, sample)
+    updated_memory = linear_filter.use_sample(gains, memory, now, sample)
     return select_memory(sample.mask & (sample.tick >= memory.buffer.before.tick), updated_memory, memory)
 
 

@@ -32,14 +32,13 @@ def shift_to_now(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Compare the sample with the present estimate, shifted by the response to the input, and correct the present estimate."""
-    return linear_filter.use(gains, memory, now, shift_to_now(gains, now, arrival))
+    return linear_filter.use_sample(gains, memory, now, shift_to_now(gains, now, arrival))
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
     """Return the innovation statistics of the arriving sample, relative to the shifted present estimate."""
-    return linear_filter.newest_innovation_stats(
-        gains, linear_filter.newest(gains, memory), shift_to_now(gains, now, arrival)
-    )
+    before = linear_filter.newest(gains, memory)
+    return linear_filter.newest_innovation_stats(gains, before, shift_to_now(gains, now, arrival))
 
 
 OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)

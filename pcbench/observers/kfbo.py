@@ -96,9 +96,9 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Propagate filter and prediction by one tick, exactly for held input and held Y."""
     u, is_past_lag = now.u, now.tick >= gains.lag
-    u_then = now.past_u(gains.lag)
-    z = jnp.where(is_past_lag, gains.Phi_z @ memory.z + gains.Gamma_z @ u_then + gains.Gain_z @ memory.Y, memory.z)
-    old_response = jnp.where(is_past_lag, gains.E @ (gains.Gamma @ u_then), 0.0)
+    u_delayed = now.past_u(gains.lag)
+    z = jnp.where(is_past_lag, gains.Phi_z @ memory.z + gains.Gamma_z @ u_delayed + gains.Gain_z @ memory.Y, memory.z)
+    old_response = jnp.where(is_past_lag, gains.E @ (gains.Gamma @ u_delayed), 0.0)
     increment = gains.Gamma @ u
     s = gains.Phi @ memory.s + increment - old_response
     return Memory(z, s, jnp.where(is_past_lag, gains.E @ z + s, gains.Phi @ memory.xhat + increment), memory.Y)
@@ -127,7 +127,7 @@ def design(context: DesignContext, options: Options) -> Design:
         Q = options.Q * B @ B.T
     stationary = riccati.continuous(model, Q, R, where)
     certificate = require_certified(stationary.certificate, where)
-    certificate = certificate._replace(numbers={**certificate.numbers, **assumed_noise.option("R", R)})
+    certificate = certificate._replace(numbers={**certificate.numbers, **assumed_noise.covariance_option("R", R)})
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(context.period)) > 1):
         raise UserError(

@@ -32,10 +32,10 @@ from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagati
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
     clip_parameters,
-    initial_augmented,
+    initial_joint_state,
     linearize_output,
-    nearest,
     now_at,
+    value_near,
 )
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.structured_qp import Bounds, Chain
@@ -86,7 +86,7 @@ class Options(nonlinear_model.Options):
 
 def first(gains: Gains, xhat0: Array) -> Window:
     """Return an empty window at the prior."""
-    z, M = initial_augmented(gains, xhat0), gains.extra.window.shape[0]
+    z, M = initial_joint_state(gains, xhat0), gains.extra.window.shape[0]
     empty_samples = reorder_buffer.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
     row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
     return Window(
@@ -118,15 +118,15 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
     """Return the chain linearised along a path of states."""
     N, q = path.shape[1], gains.C.shape[0]
-    since = jnp.append(w.since, w.samples.tick[:-1])
+    start_ticks = jnp.append(w.since, w.samples.tick[:-1])
 
-    def linearize_stage(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
-        f, F, Q = stage(gains, now, z, begin, sample.tick)
-        y, H = linearize_output(gains, now_at(now, sample.tick), next_)
-        value = nearest(gains, sample.value, y) - y + H @ next_
+    def linearize_stage(z: Array, z_next: Array, start_tick: Array, sample: Measurement) -> tuple[Array, ...]:
+        f, F, Q = stage(gains, now, z, start_tick, sample.tick)
+        y, H = linearize_output(gains, now_at(now, sample.tick), z_next)
+        value = value_near(gains, sample.value, y) - y + H @ z_next
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
-    rest = lax.map(lambda row: linearize_stage(*row), (path[:-1], path[1:], since, w.samples))
+    rest = lax.map(lambda row: linearize_stage(*row), (path[:-1], path[1:], start_ticks, w.samples))
     head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
     return Chain(*(jnp.concatenate([a[None], b]) for a, b in zip(head, rest, strict=True)))
 
@@ -163,13 +163,13 @@ OBSERVER = repropagation.observer(
 def bounds_of(context: DesignContext, options: Options, where: str) -> Bounds | tuple[()]:
     """Return the bounds of states and unknowns, () without bounds; raise UserError if they do not fit or exclude xhat0."""
     n = len(context.model.A)
-    ends = []
+    bounds = []
     for name, default in (("lower", -np.inf), ("upper", np.inf)):
         bound = getattr(options, name)
         if isinstance(bound, list) and len(bound) != n:
             raise UserError(f"{where}: {name}: got {brief_repr(bound)}, expected a number, or {n}, one for each state.")
-        ends.append(np.broadcast_to(default if bound is None else np.asarray(bound, float), n))
-    low, high = ends
+        bounds.append(np.broadcast_to(default if bound is None else np.asarray(bound, float), n))
+    low, high = bounds
     if not np.all(low < high):
         raise UserError(
             f"{where}: got lower = {low.tolist()} and upper = {high.tolist()}, expected the first below; change them."

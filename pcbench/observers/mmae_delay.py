@@ -30,7 +30,7 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, reorder_buffer, unknown_delay
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
-from pcbench.observers.parts.unknown_delay import Gains, signals_of, spread
+from pcbench.observers.parts.unknown_delay import Gains, signal_covariance, signals_of
 from pcbench.protocols import Arrival, Now, Observer, vmap_as_unit
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
@@ -90,8 +90,8 @@ def predict_models(gains: Gains, now: Now, x: Array, P: Array, start: Array, sto
         k = start + i
         u, is_active = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
         x_next = x @ gains.Phi.T + u @ gains.Gamma.T
-        spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
-        return jnp.where(is_active[:, None], x_next, x), jnp.where(is_active[:, None, None], spread, P)
+        P_next = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
+        return jnp.where(is_active[:, None], x_next, x), jnp.where(is_active[:, None, None], P_next, P)
 
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
 
@@ -122,11 +122,12 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
     def apply(memory: Memory, arrival: Arrival) -> Memory:
         arrival_tick = jnp.asarray(now.tick, float)[None]
-        sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.mask, arrival_tick)
+        sample = Measurement(
+            unknown_delay.expected_arrival_tick(gains, now, arrival), arrival.value, arrival.mask, arrival_tick
+        )
         buffer, filters = reorder_buffer.replay(partial(step, gains, now), memory.buffer, sample)
-        present = predict_models(
-            gains, now, filters.x, filters.P, filters.ticks, jnp.full_like(filters.ticks, now.tick)
-        )[0]
+        present_ticks = jnp.full_like(filters.ticks, now.tick)
+        present = predict_models(gains, now, filters.x, filters.P, filters.ticks, present_ticks)[0]
         return Memory(buffer, mean(gains, filters.weight), jnp.exp(filters.weight) @ present)
 
     return vmap_as_unit(apply)(memory, arrival)
@@ -153,11 +154,11 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     def mixture(memory: Memory) -> Array:
         filters = reorder_buffer.newest(partial(step, gains, now), memory.buffer)
         x, P = predict_models(gains, now, filters.x, filters.P, filters.ticks, jnp.full_like(filters.ticks, now.tick))
-        share, n = jnp.exp(filters.weight), gains.C.shape[1]
+        probability, n = jnp.exp(filters.weight), gains.C.shape[1]
         z = jnp.concatenate([x, (gains.dt * gains.extra)[:, None]], 1)
-        deviation = z - (share @ z)[None]
-        joint = (share[:, None] * deviation).T @ deviation
-        return spread(gains, joint.at[:n, :n].add(jnp.tensordot(share, P, 1)))
+        deviation = z - (probability @ z)[None]
+        joint = (probability[:, None] * deviation).T @ deviation
+        return signal_covariance(gains, joint.at[:n, :n].add(jnp.tensordot(probability, P, 1)))
 
     return vmap_as_unit(mixture)(memory)
 

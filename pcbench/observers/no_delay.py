@@ -46,13 +46,10 @@ def design(context: DesignContext, options: Options) -> Design:
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
     radius, radius_with_delays = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
     numbers = {"K": K, "radius_without_delays": radius}
-    numbers |= (
-        {"radius_with_these": radius_with_delays} if np.isfinite(radius_with_delays) else {}
-    )  # too long a delay: not computed
-    undelayed_certificate = Certificate(
-        "radius of A - K C < 1, delays ignored", 1 - radius, "poles", "computed", numbers
-    )
-    proof = require_certified(undelayed_certificate, where)
+    if np.isfinite(radius_with_delays):  # not computed for a delay that is too long
+        numbers["radius_with_these"] = radius_with_delays
+    inequality = "radius of A - K C < 1, delays ignored"
+    proof = require_certified(Certificate(inequality, 1 - radius, "poles", "computed", numbers), where)
     if radius_with_delays < 1:
         proof = proof._replace(rate=rate_of(radius_with_delays, plant.period * context.dt))
     else:

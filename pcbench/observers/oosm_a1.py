@@ -22,18 +22,18 @@ from jax import Array
 
 from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.observers.parts.linear_filter import Gains
-from pcbench.observers.parts.retrodiction import Last, Memory
+from pcbench.observers.parts.retrodiction import LastUpdate, Memory
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
 
 
-def last(gains: Gains, memory: Memory, tick: Array) -> Last:
+def last_update(gains: Gains, memory: Memory, tick: Array) -> LastUpdate:
     """Return the last update of the memory."""
     return memory.last
 
 
-OBSERVER = retrodiction.observer(last, zero=False)
+OBSERVER = retrodiction.observer(last_update, neglect_noise=False)
 
 
 def design(context: DesignContext, options: Options) -> Design:

@@ -8,12 +8,12 @@ the tests. Its covariance includes the neglected term, so it is consistent (`tes
 Time index: xhat is the estimate of the present, after the jump.
 """
 
-from pcbench.observers.oosm_a1 import last
+from pcbench.observers.oosm_a1 import last_update
 from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.synthesis.certificate import Design, DesignContext
 
 Options = linear_filter.Options
-OBSERVER = retrodiction.observer(last, zero=True)
+OBSERVER = retrodiction.observer(last_update, neglect_noise=True)
 
 
 def design(context: DesignContext, options: Options) -> Design:

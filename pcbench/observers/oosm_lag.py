@@ -22,7 +22,7 @@ from pydantic import Field
 from pcbench.observers.parts import linear_filter, retrodiction
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.linear_filter import Gains
-from pcbench.observers.parts.retrodiction import Last, Memory
+from pcbench.observers.parts.retrodiction import LastUpdate, Memory
 from pcbench.synthesis.certificate import Design, DesignContext
 
 
@@ -32,7 +32,7 @@ class Options(linear_filter.Options):
     keep: int = Field(4, ge=1, le=64, description="number of past estimates that are stored with their covariance")
 
 
-def equivalent(gains: Gains, memory: Memory, tick: Array) -> Last:
+def equivalent(gains: Gains, memory: Memory, tick: Array) -> LastUpdate:
     """Return one update that is equivalent to all updates after `tick`."""
     is_earlier = memory.past.ticks <= tick
     newest = is_earlier & (jnp.cumsum(is_earlier[::-1])[::-1] == 1)  # the last one: several may have the same tick
@@ -40,10 +40,10 @@ def equivalent(gains: Gains, memory: Memory, tick: Array) -> Last:
     prior = linear_filter.predict_posterior(gains, before, memory.posterior.tick)
     x, P, _ = memory.posterior
     inverse = jnp.linalg.inv(prior.P)
-    return Last(prior.P, inverse @ (x - prior.mean), inverse @ (prior.P - P) @ inverse)
+    return LastUpdate(prior.P, inverse @ (x - prior.mean), inverse @ (prior.P - P) @ inverse)
 
 
-OBSERVER = retrodiction.observer(equivalent, zero=False)
+OBSERVER = retrodiction.observer(equivalent, neglect_noise=False)
 
 
 def design(context: DesignContext, options: Options) -> Design:

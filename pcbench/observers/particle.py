@@ -26,7 +26,13 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.nonlinear_model import Gains, at_points, clip_parameters, initial_augmented, nearest
+from pcbench.observers.parts.nonlinear_model import (
+    Gains,
+    clip_parameters,
+    initial_joint_state,
+    outputs_at_points,
+    value_near,
+)
 from pcbench.observers.parts.options import normals, tunable, uniforms
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import Memory
@@ -75,18 +81,18 @@ def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"
 
 def first(gains: Gains, xhat0: Array) -> Cloud:
     """Return the particles of a run before `init_random` sets its words."""
-    return draw_particles(gains, initial_augmented(gains, xhat0), jnp.zeros(2, jnp.uint32))
+    return draw_particles(gains, initial_joint_state(gains, xhat0), jnp.zeros(2, jnp.uint32))
 
 
 def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"]) -> Memory:
     """Return the memory at the start of a run, with particles drawn from the run's words."""
 
     def draw(words: Array, xhat0: Array) -> tuple[Cloud, Array]:
-        now = draw_particles(gains, initial_augmented(gains, xhat0), words)
-        return now, mean(gains, now)
+        cloud = draw_particles(gains, initial_joint_state(gains, xhat0), words)
+        return cloud, mean(gains, cloud)
 
-    now, z = vmap_as_unit(draw)(words, xhat0)
-    return Memory(memory.buffer._replace(before=now), now, z)
+    cloud, z = vmap_as_unit(draw)(words, xhat0)
+    return Memory(memory.buffer._replace(before=cloud), cloud, z)
 
 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
@@ -105,21 +111,21 @@ def predict_outputs(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Arr
     n = gains.C.shape[1]
     if gains.sensor is None:
         return x[:, :n] @ gains.C.T
-    return at_points(gains, now, x)
+    return outputs_at_points(gains, now, x)
 
 
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weight the particles by a sample of their tick, and resample if too few are effective."""
     y = predict_outputs(gains, now, state.x)
-    square = jnp.square(jax.vmap(lambda y_i: nearest(gains, sample.value, y_i) - y_i)(y))
+    square = jnp.square(jax.vmap(lambda y_i: value_near(gains, sample.value, y_i) - y_i)(y))
     square = square / sample.variances(gains.R)[None]
     square = jnp.where(jnp.isnan(square), jnp.inf, square)  # a particle without a finite output has weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], square, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
-    share, S = jnp.exp(weight), weight.shape[0]
-    is_degenerate = 1.0 / jnp.sum(share * share) < gains.extra.share * S
+    probability, S = jnp.exp(weight), weight.shape[0]
+    is_degenerate = 1.0 / jnp.sum(probability * probability) < gains.extra.share * S
     U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.tick, ())
-    parents = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
+    parents = jnp.searchsorted(jnp.cumsum(probability), (jnp.arange(S) + U) / S)
     x = jnp.where(is_degenerate, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)
     return state._replace(x=x, weight=jnp.where(is_degenerate, -jnp.log(float(S)), weight))
 
@@ -148,7 +154,7 @@ def innovation_of_cloud(gains: Gains, now: Now, state: Cloud, sample: Measuremen
     log_weight = jnp.where(invalid, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(invalid), log_weight - jax.nn.logsumexp(log_weight), state.weight)
     joint = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
-    return kalman.by_points(gains, *weighted_moments(weight, joint), sample)[2]
+    return kalman.update_by_moments(gains, *weighted_moments(weight, joint), sample)[2]
 
 
 OBSERVER = repropagation.observer(

@@ -95,13 +95,11 @@ def design(context: DesignContext, options: Options) -> Design:
     where = f"pccebo in {context.scenario}"
     require_detectable(context.model, where)
     shape = context.model.C.T.shape
-    given = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
+    option_L = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
     has_range = options.period_range is not None or options.parameter_range is not None
-    maps = (
-        parameter_ranges.maps(context, options.period_range, options.parameter_range, options.q, where)
-        if has_range
-        else None
-    )
-    L, certificate = current_gains.find(context, options.gain, given, options.q, options.decay, maps, where)
+    maps = None
+    if has_range:
+        maps = parameter_ranges.maps(context, options.period_range, options.parameter_range, options.q, where)
+    L, certificate = current_gains.find(context, options.gain, option_L, options.q, options.decay, maps, where)
     motion = prediction.motion_of(context.model, context)
     return Design(Gains(motion, context.model.C, context.model.feedthrough, L, context.room), certificate)

@@ -43,7 +43,7 @@ from pcbench.synthesis import parameter_ranges, reduced_order, riccati
 from pcbench.synthesis.certificate import Design, DesignContext, one_clock, require_certified
 from pcbench.synthesis.parameter_ranges import Range
 
-Given = Literal["lmi"] | float | list[list[float]] | None
+Gain = Literal["lmi"] | float | list[list[float]] | None
 
 
 class Gains(NamedTuple):
@@ -69,7 +69,7 @@ class ReducedState(NamedTuple):
 class Proportional(StrictOptions):
     """Gain of PCO, in the coordinates [y; w]."""
 
-    Kp: Given = tunable(None, description="[n - q, q] gain, a number if it is 1 x 1; default: by LMI")
+    Kp: Gain = tunable(None, description="[n - q, q] gain, a number if it is 1 x 1; default: by LMI")
     decay: float = Field(0.0, ge=0, description="decay rate of the error that the certificate must contain [1/s]")
     period_range: Range | None = Field(
         None,
@@ -83,7 +83,7 @@ class Proportional(StrictOptions):
 class ProportionalIntegral(Proportional):
     """Gains of PI-PCO, in the coordinates [y; w]."""
 
-    Ki: Given = tunable(None, description="[n - q, q] gain of the integral, a number if it is 1 x 1; default: by LMI")
+    Ki: Gain = tunable(None, description="[n - q, q] gain of the integral, a number if it is 1 x 1; default: by LMI")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
@@ -95,13 +95,12 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def step_reduced(gains: Gains, before: ReducedState, sample: Measurement) -> ReducedState:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
-    prior = gains.T @ (
-        sample.snapshot + prediction.predict_to(gains.motion, before.point, sample.tick)
-    )  # A_d [y; w] + M
+    free = prediction.predict_to(gains.motion, before.point, sample.tick)
+    prior = gains.T @ (sample.snapshot + free)  # A_d [y; w] + M
     nu = jnp.where(sample.mask, sample.value - prior[:l], 0.0)
-    push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
+    w_correction = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
-    xhat = gains.T_inv @ jnp.concatenate([prior[:l] + nu, prior[l:] + push])
+    xhat = gains.T_inv @ jnp.concatenate([prior[:l] + nu, prior[l:] + w_correction])
     return ReducedState(Point(xhat - sample.snapshot, sample.tick), L, jnp.asarray(True))
 
 
@@ -119,11 +118,11 @@ def design(context: DesignContext, options: Proportional) -> Design:
     plant = reduced_order.partition(context.model, riccati.prior_size(context), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     gain_options = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
-    fixed = {name: value for name, value in gain_options.items() if value is not None and value != "lmi"}
-    if 0 < len(fixed) < len(gain_options):
+    by_option = {name: value for name, value in gain_options.items() if value is not None and value != "lmi"}
+    if 0 < len(by_option) < len(gain_options):
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
     dimensions = "unmeasured states x outputs"
-    matrices = [matrix(value, shape, f"{where}: {name}", dimensions) for name, value in fixed.items()]
+    matrices = [matrix(value, shape, f"{where}: {name}", dimensions) for name, value in by_option.items()]
     Kp, Ki, proof = reduced_order.design(plant, matrices, integral, options.decay, where)
     certificate = require_certified(proof, where)
     motion = prediction.motion_of(context.model, context)

@@ -37,7 +37,7 @@ from pcbench.protocols import InnovationStats, Leaf, Now
 from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
-WHY = "the observer is nonlinear, and its theorem is for continuous measurement"
+REASON = "the observer is nonlinear, and its theorem is for continuous measurement"
 
 
 class Law(NamedTuple):
@@ -75,10 +75,8 @@ def correction(law: Law, b: Float[Array, ""], h: Float[Array, ""]) -> tuple[Floa
     root = (jnp.sqrt((h * law.k1) ** 2 + 4 * jnp.maximum(size - reach, 0.0)) - h * law.k1) / 2
     is_inside = size <= reach
     rate = jnp.where(is_inside & (law.explicit == 0), b / h, h * law.k2 * sign)
-    position = (
-        jnp.where(law.explicit == 1, h * law.k1 * jnp.sqrt(size), size - jnp.where(is_inside, 0.0, root**2)) * sign
-    )
-    return position, rate
+    implicit = size - jnp.where(is_inside, 0.0, root**2)
+    return jnp.where(law.explicit == 1, h * law.k1 * jnp.sqrt(size), implicit) * sign, rate
 
 
 def first(gains: Gains, xhat0: Float[Array, "2"]) -> State:
@@ -96,19 +94,19 @@ def update(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> 
     law: Law = gains.extra
     empty = jnp.zeros(0)
     y = gains.C @ state.x if gains.sensor is None else gains.sensor(sample_now, state.x, empty)
-    b = jnp.where(sample.mask, nonlinear_model.nearest(gains, sample.value, y) - y, 0.0)[0]
-    since = sample.tick - state.last
-    position, rate = correction(law, b, jnp.where(since > 0, since * sample_now.dt, law.period))
+    b = jnp.where(sample.mask, nonlinear_model.value_near(gains, sample.value, y) - y, 0.0)[0]
+    ticks = sample.tick - state.last
+    position, rate = correction(law, b, jnp.where(ticks > 0, ticks * sample_now.dt, law.period))
     x = state.x + law.back @ jnp.stack([position, rate])
     return State(x, sample.tick, jnp.where(sample.mask[0], sample.tick, state.last))
 
 
-def expected(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> InnovationStats:
+def no_innovation(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> InnovationStats:
     """Return empty statistics, because the observer has no covariance."""
     return InnovationStats(jnp.zeros(()), jnp.zeros(()))
 
 
-FUNCTIONS = repropagation.FilterFunctions(tick, update, expected, first, mean=lambda gains, state: state.x)
+FUNCTIONS = repropagation.FilterFunctions(tick, update, no_innovation, first, mean=lambda gains, state: state.x)
 OBSERVER = repropagation.observer(FUNCTIONS)._replace(covariance=None, innovation=None)
 
 
@@ -154,4 +152,4 @@ def design(context: DesignContext, options: Options) -> Design:
         explicit=np.asarray(float(options.discretization == "explicit")),
     )
     gains = nonlinear_model.design(context, nonlinear_model.Options(), "super-twisting", extra=lambda gains: law).gains
-    return Design(gains, no_certificate(WHY))
+    return Design(gains, no_certificate(REASON))

@@ -26,8 +26,8 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import Linear, Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, at_points, clip_parameters, linearize_output
+from pcbench.observers.parts.kalman import LinearizedSensor, Posterior
+from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, linearize_output, outputs_at_points
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
@@ -60,17 +60,17 @@ def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
     def column(remainder: Array, e: Array) -> tuple[Array, Array]:
         v = remainder @ e
         positive = e @ v > VARIANCE_TOL * (e @ size)
-        out = jnp.where(positive, v / jnp.sqrt(jnp.where(positive, e @ v, 1.0)), 0.0)
-        return remainder - jnp.outer(out, out), out
+        L_column = jnp.where(positive, v / jnp.sqrt(jnp.where(positive, e @ v, 1.0)), 0.0)
+        return remainder - jnp.outer(L_column, L_column), L_column
 
     # A loop, because the compiler would otherwise compute each column again for every column after it.
     return lax.scan(column, P, jnp.eye(P.shape[0]))[1].T
 
 
-def spread_out(gains: Gains, state: Posterior) -> Float[Array, "points N"]:
+def sigma_points(gains: Gains, state: Posterior) -> Float[Array, "points N"]:
     """Return the sigma points, the centre first."""
-    out = gains.extra.reach * root(state.P).T
-    return jnp.concatenate([state.mean[None], state.mean[None] + out, state.mean[None] - out])
+    offsets = gains.extra.reach * root(state.P).T
+    return jnp.concatenate([state.mean[None], state.mean[None] + offsets, state.mean[None] - offsets])
 
 
 def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, Array]:
@@ -83,7 +83,7 @@ def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, 
 
 def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
     """Propagate the state by one tick."""
-    m, P = moments(gains, jax.vmap(lambda z: gains.motion(now, z))(spread_out(gains, state)))
+    m, P = moments(gains, jax.vmap(lambda z: gains.motion(now, z))(sigma_points(gains, state)))
     return state._replace(mean=clip_parameters(gains, m), P=P + gains.Q)
 
 
@@ -92,12 +92,12 @@ def update_by_points(
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean, covariance and innovation statistics after a sample."""
     if gains.sensor is None:  # linear: no points are needed
-        sensor = Linear(*linearize_output(gains, now, state.mean), state.mean)
-        return kalman.by_slope(gains, state.mean, state.P, sensor, sample)
+        sensor = LinearizedSensor(*linearize_output(gains, now, state.mean), state.mean)
+        return kalman.update_linearized(gains, state.mean, state.P, sensor, sample)
 
-    points = spread_out(gains, state)
-    joint = jnp.concatenate([points, at_points(gains, now, points)], axis=1)
-    return kalman.by_points(gains, *moments(gains, joint), sample)
+    points = sigma_points(gains, state)
+    joint = jnp.concatenate([points, outputs_at_points(gains, now, points)], axis=1)
+    return kalman.update_by_moments(gains, *moments(gains, joint), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:

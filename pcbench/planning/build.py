@@ -60,7 +60,7 @@ def bound(cell: Cell, context: DesignContext, cache: memo.Cache = memo.no_cache)
     transitions = cache("transitions", (model_key, context.ticks), lambda: _over_ticks(context, s.truth.process_std))
 
     def compute_bound() -> NDArray[np.float64]:
-        _, C, R = assumed_noise.independent(context, None, context.model.C, context.scenario)
+        _, C, R = assumed_noise.decorrelate_outputs(context, None, context.model.C, context.scenario)
         samples = common_times.times_of_samples(clocks, context.ticks)
         tail = range(cell.times.tail, context.ticks)
         return np.sqrt(riccati.posterior_variance(*transitions, C, R, context.P0, samples, tail, steps))

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable
 
 from pcbench.errors import UserError, brief_repr, short
-from pcbench.observers import LONGEST, OBSERVERS, ObserverSpec, base_of
+from pcbench.observers import MAX_LABEL_LENGTH, OBSERVERS, ObserverSpec, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.controller_table import close_loop
 from pcbench.study.parse_scenario import scenario_of
@@ -23,7 +23,7 @@ from pcbench.study.plugins.user_code import UserPlugin
 from pcbench.study.schema import Study
 from pcbench.toml_text import TomlTable
 
-LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
+LABEL = re.compile(rf"\w[\w.+-]{{0,{MAX_LABEL_LENGTH - 1}}}")
 
 
 def resolve_labels(raw: TomlTable, where: str) -> TomlTable:
@@ -117,8 +117,8 @@ def _require_free(label: str, name: str, where: str) -> None:
     """Raise UserError if a label is invalid or a built-in name."""
     if not LABEL.fullmatch(label):
         raise UserError(
-            f"{where}: got the label '{short(label)}', expected letters, digits, '-', '_', '.' or '+', at most {LONGEST}; "
-            "write another."
+            f"{where}: got the label '{short(label)}', expected letters, digits, '-', '_', '.' or '+', at most "
+            f"{MAX_LABEL_LENGTH}; write another."
         )
     if label in OBSERVERS or label in ("scenario", "target"):
         raise UserError(
@@ -166,7 +166,7 @@ def labels_of(study: Study) -> list[str]:
 def base_in(study: Study, label: str) -> str | None:
     """Return the observer of a label in a study, user-defined ones first: its name, or name-suffix."""
     names = [name for name in study.custom_observers if label == name or label.startswith(name + "-")]
-    return max(names, key=len) if names and label.isprintable() and len(label) <= LONGEST else base_of(label)
+    return max(names, key=len) if names and label.isprintable() and len(label) <= MAX_LABEL_LENGTH else base_of(label)
 
 
 def plugin_in(study: Study, label: str) -> UserPlugin | None:

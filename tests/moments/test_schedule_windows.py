@@ -46,7 +46,7 @@ def submitted(monkeypatch):
         for window in solve._windows(cells, MomentRequest(0, 1), set()):
             threads = Threads()
             solve._submit(threads, window, MomentRequest(0, 1), set())
-            assert [len(work.calls) for work in window] == [len(work.ones) for work in window]
+            assert [len(work.calls) for work in window] == [len(work.realisations) for work in window]
             out.append(threads.calls)
         return out
 

@@ -59,8 +59,8 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     feedthrough = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
-        x_then = at_sample(memory.alone, k - ages[j]) + at_sample(memory.past, k - ages[j])
-        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_then) + feedthrough[j])
+        x_past = at_sample(memory.alone, k - ages[j]) + at_sample(memory.past, k - ages[j])
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_past) + feedthrough[j])
     is_used = arrival.mask & (k >= gains.first)
     e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
@@ -68,16 +68,16 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick; at a sampling tick, advance the recursion by one sample."""
-    run, due = sample_rate.flow(gains.model, memory.run, now)
+    run, is_sample = sample_rate.flow(gains.model, memory.run, now)
     k = memory.run.sample
-    past = write(memory.past, k, memory.z, due)
+    past = write(memory.past, k, memory.z, is_sample)
     z = gains.step @ at_sample(past, k + 1 - gains.every) + memory.push
     return Memory(
         run,
-        write(memory.alone, k + 1, run.xbar, due),
+        write(memory.alone, k + 1, run.xbar, is_sample),
         past,
-        jnp.where(due, z, memory.z),
-        jnp.where(due, 0.0, memory.push),
+        jnp.where(is_sample, z, memory.z),
+        jnp.where(is_sample, 0.0, memory.push),
     )
 
 

@@ -39,11 +39,10 @@ class Options(StrictOptions):
 
 def covariance(noise: Variances | Sizes | None, n: int, where: str, signal: str) -> Matrix:
     """Return a number, n numbers or rows as a matrix [n, n]; raise UserError if it is not a covariance."""
-    entries = np.asarray(noise, float) if _regular(noise) else np.zeros(0)
+    entries = np.asarray(noise, float) if _is_rectangular(noise) else np.zeros(0)
     if entries.shape not in ((), (n,), (n, n)):
         raise UserError(
-            f"{where}: got {brief_repr(noise)}, expected {n} number{'s' if n > 1 else ''}, one for each "
-            f"{signal}, or a matrix "
+            f"{where}: got {brief_repr(noise)}, expected {n} number{'s' if n > 1 else ''}, one for each {signal}, or a matrix "
             f"of {n} x {n}."
         )
     if entries.ndim < 2:
@@ -57,13 +56,13 @@ def covariance(noise: Variances | Sizes | None, n: int, where: str, signal: str)
     return entries
 
 
-def _regular(noise: Variances | Sizes | None) -> bool:
+def _is_rectangular(noise: Variances | Sizes | None) -> bool:
     """Return whether all rows have the same length."""
     rows = [len(row) if isinstance(row, list) else 0 for row in noise] if isinstance(noise, list) else []
     return len(set(rows)) < 2
 
 
-def independent(
+def decorrelate_outputs(
     context: DesignContext, noise: Variances | Sizes | None, C: Matrix, where: str
 ) -> tuple[Matrix | None, Matrix, Matrix]:
     """Return outputs with independent noise, for the assumed `noise` (None: the scenario's).
@@ -95,13 +94,13 @@ def independent(
     return mix, mix @ C, np.square(np.diag(L))
 
 
-def process(context: DesignContext, noise: Variances | Sizes | None, where: str) -> Matrix:
+def process_covariance(context: DesignContext, noise: Variances | Sizes | None, where: str) -> Matrix:
     """Return the covariance [n, n] of the process noise of a tick: `noise`, or the scenario's if None."""
     n = len(context.model.A)
     return context.process_noise if noise is None else covariance(noise, n, f"{where}: Q", "state")
 
 
-def through(intensity: Variances | Sizes | None, inputs: int, default: float, where: str) -> Any:
+def input_intensity(intensity: Variances | Sizes | None, inputs: int, default: float, where: str) -> Any:
     """Return the intensity of process noise through the input, a number or one for each input [m]."""
     if not isinstance(intensity, list):
         return default if intensity is None else intensity
@@ -110,7 +109,7 @@ def through(intensity: Variances | Sizes | None, inputs: int, default: float, wh
     return np.array(intensity, float)
 
 
-def option(name: str, Q: Matrix) -> dict[str, Any]:
+def covariance_option(name: str, Q: Matrix) -> dict[str, Any]:
     """Return a dict of a covariance as an option has it: its diagonal if it is diagonal, {} if it is 0."""
     if not np.any(Q):
         return {}

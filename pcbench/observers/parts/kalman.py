@@ -9,9 +9,9 @@ S^-1 nu.
 
 Update of z ~ N(m, P) by a nonlinear sensor:
 
-- `by_slope`: y ~ yhat + H (z - about), in Joseph form also if R is far smaller than H P H'.
-- `by_points`: J is the joint covariance of z and y from weighted points, and c selects y_j: K = J c (c'J c + r)^-1, m <- m +
-  K (y_j - c'm), and J as P above.
+- `update_linearized`: y ~ yhat + H (z - z_lin), in Joseph form also if R is far smaller than H P H'.
+- `update_by_moments`: J is the joint covariance of z and y from weighted points, and c selects y_j: K = J c (c'J c + r)^-1,
+  m <- m + K (y_j - c'm), and J as P above.
 
 If y = H z, both are the Kalman update.
 
@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
-from pcbench.observers.parts.nonlinear_model import Gains, nearest
+from pcbench.observers.parts.nonlinear_model import Gains, value_near
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats
 from pcbench.synthesis import riccati
@@ -86,7 +86,7 @@ def add_innovation(
     )
 
 
-class Linear(NamedTuple):
+class LinearizedSensor(NamedTuple):
     """A sensor linearised at `z_lin`."""
 
     y: Float[Array, " q"]
@@ -94,33 +94,33 @@ class Linear(NamedTuple):
     z_lin: Float[Array, " N"]
 
 
-def by_slope(
-    gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: Linear, sample: Measurement
+def update_linearized(
+    gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: LinearizedSensor, sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean, covariance and innovation statistics of z after a sample, by a linearised sensor."""
-    value, total, R = nearest(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
+    value, stats, R = value_near(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
         nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.z_lin), h @ P @ h + r
-        total = add_innovation(total, nu, s, mask)
+        stats = add_innovation(stats, nu, s, mask)
         K = gain(P @ h, s, mask)
         z, P = z + K * nu, covariance(P, K, h, r)
-    return z, P, total
+    return z, P, stats
 
 
-def by_points(
+def update_by_moments(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N], covariance [N, N] and innovation statistics of z after a sample, by the joint moments of z and y."""
-    N, total, R = gains.P0.shape[0], empty_stats(), sample.variances(gains.R)
-    value = nearest(gains, sample.value, mean[N:])
+    N, stats, R = gains.P0.shape[0], empty_stats(), sample.variances(gains.R)
+    value = value_near(gains, sample.value, mean[N:])
     for channel in range(gains.C.shape[0]):
         r, mask, c = R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
-        total = add_innovation(total, nu, s, mask)
+        stats = add_innovation(stats, nu, s, mask)
         K = gain(J[:, N + channel], s, mask)
         mean, J = mean + K * nu, covariance(J, K, c, r)
-    return mean[:N], J[:N, :N], total
+    return mean[:N], J[:N, :N], stats
 
 
 def certificate(gains: PyTree, model: linear.Model, Q: Matrix, context: DesignContext) -> Certificate:

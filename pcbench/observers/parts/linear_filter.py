@@ -75,7 +75,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     return prediction.start(first.mean, robust_update.initial_posterior(first, gains.guard, q), gains.room, q)
 
 
-def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
+def decorrelated_value(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     """Return a sample's values of the outputs with independent noise [q]."""
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
@@ -87,26 +87,26 @@ def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Poster
     P = covariance_after(powers, gains.noise, age, before.P[:n, :n])
     if before.mean.shape[0] == n:
         return Posterior(free, P, tick)
-    across = after(powers, age, before.P[:n, n:])
-    P = jnp.block([[P, across], [across.T, before.P[n:, n:]]])
+    cross_covariance = after(powers, age, before.P[:n, n:])
+    P = jnp.block([[P, cross_covariance], [cross_covariance.T, before.P[n:, n:]]])
     return Posterior(jnp.concatenate([free, before.mean[n:]]), P, tick)
 
 
 def update(gains: Gains, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
     free, P, _ = predict_posterior(gains, before, sample.tick)
-    value, rejections, n = value_of(gains, sample), [], gains.P0.shape[0]
+    value, rejections, n = decorrelated_value(gains, sample), [], gains.P0.shape[0]
     R = sample.variances(gains.R)
     rows = kalman.pad_columns(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, mask = rows[channel], R[channel], sample.mask[channel]
         nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
-        is_used, r, out = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
+        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
         K = kalman.gain(P @ c, c @ P @ c + r, is_used)
         free = free + K * nu
         P = kalman.covariance(P, K, c, r)
-        rejections.append(out)
-    return robust_update.after(before, free, P, sample.tick, rejections)
+        rejections.append(count)
+    return robust_update.new_posterior(before, free, P, sample.tick, rejections)
 
 
 def newest_innovation_stats(gains: Gains, before: AnyPosterior, sample: Measurement) -> InnovationStats:
@@ -118,14 +118,14 @@ def newest_innovation_stats(gains: Gains, before: AnyPosterior, sample: Measurem
 def innovation_stats(gains: Gains, prior: AnyPosterior, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the state at its sampling time, channel by channel."""
     free, P, mask = prior.mean, prior.P, sample.mask
-    value, total, R = value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
+    value, stats, R = decorrelated_value(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], R[channel]
         nu, s = value[channel] - c @ (sample.snapshot + free), c @ P @ c + r
-        total = kalman.add_innovation(total, nu, s, mask[channel])
+        stats = kalman.add_innovation(stats, nu, s, mask[channel])
         K = kalman.gain(P @ c, s, mask[channel])
         free, P = free + K * nu, kalman.covariance(P, K, c, r)
-    return total
+    return stats
 
 
 def signals_of(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:
@@ -143,16 +143,16 @@ def estimate(gains: Gains, memory: PyTree) -> Float[Array, " plant+r"]:
     return signals_of(gains, memory.xhat)
 
 
-def point(after: AnyPosterior) -> Point:
+def point(posterior: AnyPosterior) -> Point:
     """Return the mean of a posterior as a `Point`."""
-    return Point(after.mean, after.tick)
+    return Point(posterior.mean, posterior.tick)
 
 
-use = prediction.make_use(update, point)
+use_sample = prediction.make_use(update, point)
 jump = prediction.make_jump(update, point)
 
 
-def spread(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
+def signal_covariance(gains: Gains, memory: PyTree, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
     """Return the covariance of the signals that `signals_of` returns, from the covariance P of the filter's states."""
     T = jax.jacfwd(lambda z: signals_of(gains, z))(memory.xhat)
     return T @ P @ T.T
@@ -168,12 +168,12 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     before = memory.buffer.before
     empty_sample = Measurement(before.tick, jnp.zeros(len(gains.C)), jnp.zeros(len(gains.C), bool), memory.g)
     memory, _ = prediction.restart(gains.motion, memory, now, empty_sample, before.tick)
-    return spread(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
+    return signal_covariance(gains, memory, predict_posterior(gains, newest(gains, memory), memory.tick).P)
 
 
 def covariance_of_posterior(gains: Gains, memory: PyTree, now: Now) -> Float[Array, "signals signals"]:
     """Return the present covariance, propagated from `memory.posterior`."""
-    return spread(gains, memory, predict_posterior(gains, memory.posterior, memory.tick).P)
+    return signal_covariance(gains, memory, predict_posterior(gains, memory.posterior, memory.tick).P)
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
@@ -195,9 +195,8 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
     sample = sample._replace(mask=sample.mask & (sample.tick >= first.tick))
     marker = sample._replace(tick=jnp.maximum(sample.tick, first.tick))
     joint_posterior = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
-    state = reorder_buffer.newest_with_copy(
-        partial(update, gains), copy, buffer._replace(before=joint_posterior), marker
-    )
+    joint_buffer = buffer._replace(before=joint_posterior)
+    state = reorder_buffer.newest_with_copy(partial(update, gains), copy, joint_buffer, marker)
     return innovation_stats(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.tick), sample)
 
 
@@ -227,16 +226,17 @@ def design(
     if options.bias_variance is not None:
         model, m = linear.with_input_bias(model), model.B.shape[1]
         P0 = np.block([[P0, np.zeros((n, m))], [np.zeros((m, n)), options.bias_variance * np.eye(m)]])
-    q = assumed_noise.through(options.q, model.B.shape[1], context.input_intensity, where)
+    q = assumed_noise.input_intensity(options.q, model.B.shape[1], context.input_intensity, where)
     inputs = np.zeros(0)
     if model.E is not None and options.input_walk:
-        size = np.square(context.unknown_std[: model.E.shape[1]])
-        model, inputs = linear.with_unknown_input(model), size
-        P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
-    mix, C, R = assumed_noise.independent(context, options.R, model.C, where)
+        variances = np.square(context.unknown_std[: model.E.shape[1]])
+        model, inputs = linear.with_unknown_input(model), variances
+        zeros = np.zeros((len(P0), len(variances)))
+        P0 = np.block([[P0, zeros], [zeros.T, np.diag(variances)]])
+    mix, C, R = assumed_noise.decorrelate_outputs(context, options.R, model.C, where)
     motion = prediction.motion_of(model, context, restarts)
     Q = linear.input_noise(model, q, context.dt, options.input_walk * inputs)
-    Q[:n, :n] += assumed_noise.process(context, options.Q, where)
+    Q[:n, :n] += assumed_noise.process_covariance(context, options.Q, where)
     noise = linear.noise_powers(model, Q, context.dt, context.ticks)
     gains = Gains(
         motion=motion,
@@ -253,11 +253,11 @@ def design(
         extra=extra(model) if callable(extra) else extra,
         guard=guard,
     )
-    carries = True if len(inputs) else None
-    Q_numbers = assumed_noise.option("Q", assumed_noise.process(context, options.Q, where))
+    predicts_input = True if len(inputs) else None
+    Q_numbers = assumed_noise.covariance_option("Q", assumed_noise.process_covariance(context, options.Q, where))
     if reason:
         proof = no_certificate(reason)._replace(numbers={"R": gains.R, "q": q, **Q_numbers})
-        return Design(gains, proof, carries)
+        return Design(gains, proof, predicts_input)
     proof = kalman.certificate(gains, model, Q, context)
     proof = proof._replace(numbers={**proof.numbers, "q": q, **Q_numbers})
-    return Design(gains, require_certified(proof, where), carries)
+    return Design(gains, require_certified(proof, where), predicts_input)

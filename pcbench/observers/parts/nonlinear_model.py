@@ -69,7 +69,7 @@ def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
     return Phi @ z + Gamma @ now.u
 
 
-def constant(Phi: Array, now: Now, z: Array) -> Array:
+def constant_jacobian(Phi: Array, now: Now, z: Array) -> Array:
     """Return the Jacobian of a tick of a linear model."""
     return Phi
 
@@ -85,7 +85,7 @@ def step(model: Model, room: Room, now: Now, z: Array) -> Array:
     return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
 
 
-def slope(model: Model, room: Room, now: Now, z: Array) -> Array:
+def approximate_jacobian(model: Model, room: Room, now: Now, z: Array) -> Array:
     """Return the approximate Jacobian of a tick, I + h J."""
     return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
@@ -112,17 +112,17 @@ def motion_of(context: DesignContext) -> tuple[Partial, Partial]:
     """Return two functions of (now, z): z one tick later, and the Jacobian of the tick."""
     model, room = context.model, np.zeros(len(context.unknown_std))
     if context.successor is not None:
-        after = context.successor
-        return Partial(step_augmented, after, room), Partial(augmented_jacobian, after, room)
+        successor = context.successor
+        return Partial(step_augmented, successor, room), Partial(augmented_jacobian, successor, room)
     if context.field is None and (model.E is None or model.nonlinearity is None):
         joint_model = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(joint_model, context.dt)
-        return Partial(affine, Phi, Gamma), Partial(constant, Phi)
+        return Partial(affine, Phi, Gamma), Partial(constant_jacobian, Phi)
     field = context.field or Partial(disturbed_derivative, model.A, model.B, model.E, model.nonlinearity)
-    return Partial(step, field, room), Partial(slope, field, room)
+    return Partial(step, field, room), Partial(approximate_jacobian, field, room)
 
 
-def initial_augmented(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
+def initial_joint_state(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
     """Return z at t = 0."""
     return jnp.concatenate([xhat0, gains.start])
 
@@ -136,8 +136,8 @@ def clip_parameters(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " j
 
 def now_at(now: Now, tick: Int[Array, ""]) -> Now:
     """Return `now` as it was at an earlier tick, with the input held from there on."""
-    since = now.tick - tick
-    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
+    elapsed = now.tick - tick
+    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(elapsed), past_u=lambda age: now.past_u(age + elapsed))
 
 
 def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""]) -> tuple[Array, Array]:
@@ -174,24 +174,24 @@ def linearize_output(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tu
     return C @ z, C
 
 
-def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
+def decorrelate(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
     """Return a sample's values of the outputs with independent noise [q]."""
     return value if gains.mix is None else gains.mix @ value
 
 
-def nearest(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
+def value_near(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
     """Return `value_of` a sample, or y + residual(value, y) for outputs such as angles, with the prediction y."""
     if gains.residual is None:
-        return value_of(gains, value)
+        return decorrelate(gains, value)
     expected = y if gains.mix is None else jax.scipy.linalg.solve_triangular(gains.mix, y, lower=True)
-    return y + value_of(gains, gains.residual(value, expected))
+    return y + decorrelate(gains, gains.residual(value, expected))
 
 
-def at_points(gains: Gains, sample_now: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
+def outputs_at_points(gains: Gains, sample_now: Now, points: Float[Array, "S N"]) -> Float[Array, "S q"]:
     """Return a sensor's output at several z; outputs that wrap are within half a turn of the first one's."""
     n = gains.C.shape[1]
     y = jax.vmap(lambda z: gains.sensor(sample_now, z[:n], z[n:]))(points)
-    return jax.vmap(lambda y_i: nearest(gains, y_i, value_of(gains, y[0])))(y)
+    return jax.vmap(lambda y_i: value_near(gains, y_i, decorrelate(gains, y[0])))(y)
 
 
 def design(
@@ -203,23 +203,22 @@ def design(
 ) -> Design:
     """Return a filter's assumptions, and by `extra` the parameters of one observer; there is no certificate."""
     n, s, where = len(context.model.A), len(context.unknown_std), f"{name} in {context.scenario}"
-    motion, tangent = motion_of(context)
-    size = np.square(context.unknown_std)
+    motion, jacobian = motion_of(context)
+    variances = np.square(context.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
-    P0[:n, :n], P0[n:, n:] = context.P0, np.diag(size)
-    q = assumed_noise.through(options.q, context.model.B.shape[1], context.input_intensity, where)
-    process = assumed_noise.process(context, options.Q, where)
+    P0[:n, :n], P0[n:, n:] = context.P0, np.diag(variances)
+    q = assumed_noise.input_intensity(options.q, context.model.B.shape[1], context.input_intensity, where)
+    process = assumed_noise.process_covariance(context, options.Q, where)
     Q[:n, :n] = process + linear.input_noise(context.model, q, context.dt)
-    Q[n:, n:] = np.diag(options.walk * size * context.dt)
-    mix, C, R = assumed_noise.independent(context, options.R, context.model.C, where)
+    Q[n:, n:] = np.diag(options.walk * variances * context.dt)
+    mix, C, R = assumed_noise.decorrelate_outputs(context, options.R, context.model.C, where)
     low, high = np.array(context.unknown_range).T.reshape(2, s)
     gains = Gains(
         motion=motion,
-        slope=tangent,
+        slope=jacobian,
         sensor=context.sensor,
         C=C,
-        D=context.model.feedthrough
-        * (context.sensor is None),  # the output of a sensor function includes the input's part
+        D=context.model.feedthrough * (context.sensor is None),  # a sensor function includes the part of the input
         R=R,
         mix=mix,
         Q=Q,
@@ -231,7 +230,7 @@ def design(
         guard=guard,
         residual=context.residual,
     )
-    numbers = {"R": R, **assumed_noise.option("Q", process)}
+    numbers = {"R": R, **assumed_noise.covariance_option("Q", process)}
     inequality = "none: the model is nonlinear, or linearised at the estimate"
     proof = Certificate(inequality, float("inf"), "none", "not needed", numbers)
     return Design(gains._replace(extra=extra(gains)), proof, True if context.model.E is not None else None)

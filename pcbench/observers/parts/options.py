@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
-TUNABLE, WAY = "tunable", "way"  # keys in a field's extra
+TUNABLE, METHOD = "tunable", "way"  # keys in a field's extra
 
 
 class StrictOptions(BaseModel):
@@ -45,10 +45,10 @@ def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any
 
 def method_option(default: Any, **how: Any) -> Any:
     """Return a field for the design method of the gains, which `pcbench design --gain` sets."""
-    return Field(default, json_schema_extra={WAY: True}, **how)
+    return Field(default, json_schema_extra={METHOD: True}, **how)
 
 
-def extra(field: FieldInfo) -> dict[str, Any]:
+def option_metadata(field: FieldInfo) -> dict[str, Any]:
     """Return the metadata of an option."""
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
@@ -64,7 +64,7 @@ def matrix(value: float | list[list[float]], shape: tuple[int, int], where: str,
     return entries
 
 
-TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))
+ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 PARITY = 0x1BD11BDA
 
 
@@ -73,9 +73,9 @@ def threefry(key: tuple[Array, Array], counter: tuple[Array, Array]) -> tuple[Ar
     keys = (*key, key[0] ^ key[1] ^ jnp.uint32(PARITY))
     a, b = counter[0] + keys[0], counter[1] + keys[1]
     for block in range(5):
-        for turn in TURNS[block % 2]:
+        for rotation in ROTATIONS[block % 2]:
             a = a + b
-            b = ((b << jnp.uint32(turn)) | (b >> jnp.uint32(32 - turn))) ^ a
+            b = ((b << jnp.uint32(rotation)) | (b >> jnp.uint32(32 - rotation))) ^ a
         a, b = a + keys[(block + 1) % 3], b + keys[(block + 2) % 3] + jnp.uint32(block + 1)
     return a, b
 

@@ -135,10 +135,12 @@ def make_use(
         memory, measurement = restart(gains.motion, memory, now, measurement, since)
         buffer, newest = reorder_buffer.replay(partial(update, gains), memory.buffer, measurement)
         free = predict_to(gains.motion, point_of(newest), now.tick)  # e^{A d} free_m
-        after = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
-        return after if gains.motion.restarts is None else stop(after, memory.buffer.samples, measurement)
+        new_memory = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
+        if gains.motion.restarts is None:
+            return new_memory
+        return remove_response(new_memory, memory.buffer.samples, measurement)
 
-    def stop(memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
+    def remove_response(memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
         """Return the memory with g removed from the state before the samples; g starts again there."""
         before = memory.buffer.before
         ticks = jnp.append(samples.tick, measurement.tick)

@@ -74,14 +74,14 @@ def replay(update: Update, buffer: Buffer, measurement: Measurement) -> tuple[Bu
         state = update(buffer.before, measurement)
         return Buffer(state, buffer.samples), state
     entries, newest_samples = _merge_sample(buffer.samples, measurement)
-    newest, states = _through(update, buffer.before, entries)
+    newest_state, states = _run_recursion(update, buffer.before, entries)
     before = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states)  # the oldest of K + 1
-    return Buffer(before, newest_samples), newest
+    return Buffer(before, newest_samples), newest_state
 
 
 def newest(update: Update, buffer: Buffer) -> PyTree:
     """Return the state after the newest sample that has arrived."""
-    return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.tick.shape[0] else buffer.before
+    return _run_recursion(update, buffer.before, buffer.samples)[0] if buffer.samples.tick.shape[0] else buffer.before
 
 
 def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: Measurement) -> PyTree:
@@ -92,12 +92,12 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: 
     arrival are independent.
     """
     entries, _ = _merge_sample(buffer.samples, measurement)
-    place = jnp.sum(buffer.samples.tick <= measurement.tick)
+    copy_index = jnp.sum(buffer.samples.tick <= measurement.tick)
 
     def step(state: PyTree, row: tuple[Array, Measurement]) -> tuple[PyTree, None]:
         i, sample = row
         posterior, with_copy = update(state, sample), copy(state, sample)
-        has_sample, is_copy = jnp.any(sample.mask), i == place
+        has_sample, is_copy = jnp.any(sample.mask), i == copy_index
         return jax.tree.map(
             lambda a, b, c: jnp.where(is_copy, a, jnp.where(has_sample, b, c)), with_copy, posterior, state
         ), None
@@ -105,7 +105,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, measurement: 
     return lax.scan(step, buffer.before, (jnp.arange(entries.tick.shape[0]), entries))[0]
 
 
-def _through(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTree, PyTree]:
+def _run_recursion(update: Update, before: PyTree, entries: Measurement) -> tuple[PyTree, PyTree]:
     """Return the state after samples in order, and the states after each of them; an empty place does not change the state."""
 
     def step(state: PyTree, sample: Measurement) -> tuple[PyTree, PyTree]:
@@ -123,8 +123,8 @@ def _merge_sample(samples: Measurement, measurement: Measurement) -> tuple[Measu
     """
 
     def merge(samples: Measurement, measurement: Measurement) -> tuple[Measurement, Measurement]:
-        later = samples.tick > measurement.tick
-        is_before, is_after = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
+        is_newer = samples.tick > measurement.tick
+        is_before, is_after = jnp.append(~is_newer, False), jnp.append(False, is_newer)  # what is newer moves up by one
 
         def merge_leaf(a: Array, b: Array) -> Array:
             s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (is_before, is_after))

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.common import no_snapshot
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, initial_augmented, now_at
+from pcbench.observers.parts.nonlinear_model import Gains, initial_joint_state, now_at
 from pcbench.observers.parts.reorder_buffer import Buffer, Measurement
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, vmap_as_unit
 
@@ -35,7 +35,7 @@ class Memory(NamedTuple):
 
 def prior(gains: Gains, xhat0: Float[Array, " n"]) -> Posterior:
     """Return the prior: xhat(0), the initial p, and P0."""
-    return Posterior(initial_augmented(gains, xhat0), gains.P0, jnp.asarray(0))
+    return Posterior(initial_joint_state(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
 class FilterFunctions(NamedTuple):
@@ -43,10 +43,10 @@ class FilterFunctions(NamedTuple):
 
     tick: Callable[[Gains, Now, State], State]  # -> the state one tick later, under now.u
     update: Callable[[Gains, Now, State, Measurement], State]  # -> the state after a sample of its tick
-    expected: Callable[[Gains, Now, State, Measurement], InnovationStats]  # -> innovation statistics of such a sample
+    innovation: Callable[[Gains, Now, State, Measurement], InnovationStats]  # -> innovation statistics of such a sample
     first: Callable[[Gains, Array], State] = prior  # (gains, xhat0[n]) -> the state at tick 0
     mean: Callable[[Gains, State], Array] = lambda gains, state: state.mean  # -> z[N]
-    spread: Callable[[Gains, State], Array] = lambda gains, state: state.P  # -> P[N, N]
+    covariance: Callable[[Gains, State], Array] = lambda gains, state: state.P  # -> P[N, N]
 
 
 def observer(functions: FilterFunctions) -> Observer:
@@ -56,7 +56,7 @@ def observer(functions: FilterFunctions) -> Observer:
         end = lax.fori_loop(state.tick, until, lambda k, s: functions.tick(gains, now_at(now, k), s), state)
         return end._replace(tick=until)
 
-    def use(gains: Gains, now: Now) -> reorder_buffer.Update:
+    def update_at(gains: Gains, now: Now) -> reorder_buffer.Update:
         def update(before: State, sample: Measurement) -> State:
             prior = propagate(gains, now, before, sample.tick)
             return functions.update(gains, now_at(now, sample.tick), prior, sample)
@@ -73,7 +73,7 @@ def observer(functions: FilterFunctions) -> Observer:
 
         def apply(memory: Memory, arrival: Arrival) -> Memory:
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
-            buffer, newest = reorder_buffer.replay(use(gains, now), memory.buffer, sample)
+            buffer, newest = reorder_buffer.replay(update_at(gains, now), memory.buffer, sample)
             present = propagate(gains, now, newest, now.tick)
             return Memory(buffer, present, functions.mean(gains, present))
 
@@ -83,11 +83,11 @@ def observer(functions: FilterFunctions) -> Observer:
         """Propagate the present state by one tick."""
 
         def advance(state: State) -> tuple[State, Array]:
-            later = functions.tick(gains, now, state)
-            return later, functions.mean(gains, later)
+            next_state = functions.tick(gains, now, state)
+            return next_state, functions.mean(gains, next_state)
 
-        later, z = vmap_as_unit(advance)(memory.now)
-        return memory._replace(now=later._replace(tick=now.tick + 1), z=z)
+        next_state, z = vmap_as_unit(advance)(memory.now)
+        return memory._replace(now=next_state._replace(tick=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
         """Return the present xhat, and the unknowns."""
@@ -95,18 +95,17 @@ def observer(functions: FilterFunctions) -> Observer:
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
         """Return the present covariance."""
-        return vmap_as_unit(lambda state: functions.spread(gains, state))(memory.now)
+        return vmap_as_unit(lambda state: functions.covariance(gains, state))(memory.now)
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> InnovationStats:
         """Return the innovation statistics of a sample; empty if it is older than the newest sample."""
 
         def score(memory: Memory, arrival: Arrival) -> InnovationStats:
-            before = reorder_buffer.newest(use(gains, now), memory.buffer)
+            before = reorder_buffer.newest(update_at(gains, now), memory.buffer)
             sample = reorder_buffer.zero_missing(reorder_buffer.sample_of(now, arrival, gains.D))
             newest_sample = sample._replace(mask=sample.mask & (sample.tick >= before.tick))
-            return functions.expected(
-                gains, now_at(now, sample.tick), propagate(gains, now, before, sample.tick), newest_sample
-            )
+            prior = propagate(gains, now, before, sample.tick)
+            return functions.innovation(gains, now_at(now, sample.tick), prior, newest_sample)
 
         return vmap_as_unit(score)(memory, arrival)
 

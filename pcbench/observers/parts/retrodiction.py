@@ -39,7 +39,7 @@ class RetrodictionParams(NamedTuple):
     past: Room  # for posteriors of past samples
 
 
-class Last(NamedTuple):
+class LastUpdate(NamedTuple):
     """The update at the newest sample's time."""
 
     P: Float[Array, "n n"]  # before it
@@ -61,21 +61,20 @@ class Memory(NamedTuple):
     g: Float[Array, " n"]
     xhat: Float[Array, " n"]
     posterior: Posterior
-    last: Last
+    last: LastUpdate
     past: Past  # before it
     tick: Int[Array, ""]
 
 
-Retrodict = Callable[
-    [Gains, Memory, Array], Last
-]  # (gains, memory, tau) -> an update equivalent to all updates after tau
+# (gains, memory, tau) -> an update equivalent to all updates after tau
+Retrodict = Callable[[Gains, Memory, Array], LastUpdate]
 
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with the prior as past posteriors."""
     first, N = linear_filter.prior(gains, xhat0), gains.extra.past.shape[0]
     n = first.mean.shape[0]
-    no_update = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
+    no_update = LastUpdate(first.P, jnp.zeros(n), jnp.zeros((n, n)))
     past = Past(jnp.tile(first.mean, (N, 1)), jnp.tile(first.P, (N, 1, 1)), jnp.zeros(N, int))
     return Memory(jnp.zeros(n), first.mean, first, no_update, past, jnp.asarray(0))
 
@@ -86,7 +85,7 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     prior = linear_filter.predict_posterior(gains, before, sample.tick)
     P = jnp.where(same_tick, memory.last.P, prior.P)
     u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
-    value, mean, R = linear_filter.value_of(gains, sample), prior.mean - P @ u, sample.variances(gains.R)
+    value, mean, R = linear_filter.decorrelated_value(gains, sample), prior.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
         b = c - U @ (P @ c)
@@ -100,47 +99,46 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
         return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(entry, (1, *past.shape[1:]))]))
 
     past = Past(*(shift(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
-    return memory._replace(posterior=posterior, last=Last(P, u, U), past=past)
+    return memory._replace(posterior=posterior, last=LastUpdate(P, u, U), past=past)
 
 
 def backward(
-    gains: Gains, memory: Memory, sample: Measurement, last: Last, zero: bool
+    gains: Gains, memory: Memory, sample: Measurement, last: LastUpdate, neglect_noise: bool
 ) -> tuple[Memory, InnovationStats]:
     """Return the memory after an update by an older sample, and the innovation statistics of that sample.
 
-    With `zero`, the estimated process noise in between is 0.
+    With `neglect_noise`, the estimated process noise in between is 0.
     """
-    (x, P, k), (prior, u, U) = memory.posterior, last
+    (x, P, k), (P_prior, u, U) = memory.posterior, last
     n, age = x.shape[0], k - sample.tick
     Q = covariance_after(gains.motion.powers, gains.noise, age, jnp.zeros_like(P))
-    noise = jnp.zeros(n) if zero else Q @ u
-    vv = Q if zero else Q - Q @ U @ Q
-    xv = Q - prior @ U @ Q
+    noise = jnp.zeros(n) if neglect_noise else Q @ u
+    vv = Q if neglect_noise else Q - Q @ U @ Q
+    xv = Q - P_prior @ U @ Q
     P_sample = after(gains.extra.back, age, P + vv - xv - xv.T)
     P_sample = after(gains.extra.back, age, P_sample.T)
-    across = after(gains.extra.back, age, (P - xv).T).T
+    cross_covariance = after(gains.extra.back, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.extra.back, age, x - noise)])
-    joint = jnp.block([[P, across], [across.T, P_sample]])
-    value, total, R = linear_filter.value_of(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
+    joint = jnp.block([[P, cross_covariance], [cross_covariance.T, P_sample]])
+    value, stats, R = linear_filter.decorrelated_value(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), R[channel], sample.mask[channel]
         nu, s = value[channel] - gains.C[channel] @ sample.snapshot - c @ z, c @ joint @ c + r
-        total = kalman.add_innovation(total, nu, s, mask)
+        stats = kalman.add_innovation(stats, nu, s, mask)
         K = kalman.gain(joint @ c, s, mask)
         z = z + K * nu
         joint = kalman.covariance(joint, K, c, r)
-    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), total
+    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), stats
 
 
-def observer(retrodict: Retrodict, zero: bool) -> Observer:
-    """Return the observer with this retrodiction; with `zero`, the estimated process noise in between is 0."""
+def observer(retrodict: Retrodict, neglect_noise: bool) -> Observer:
+    """Return the observer with this retrodiction; with `neglect_noise`, the estimated process noise in between is 0."""
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         is_older = sample.tick < memory.posterior.tick
-        backward_memory = select_memory(
-            is_older, backward(gains, memory, sample, retrodict(gains, memory, sample.tick), zero)[0], memory
-        )
+        update = retrodict(gains, memory, sample.tick)
+        backward_memory = select_memory(is_older, backward(gains, memory, sample, update, neglect_noise)[0], memory)
         is_stored = sample.tick >= memory.past.ticks[0]
         forward_memory = forward(gains, memory, sample._replace(tick=jnp.maximum(sample.tick, memory.posterior.tick)))
         memory = select_memory(is_older, select_memory(is_stored, backward_memory, memory), forward_memory)
@@ -152,7 +150,7 @@ def observer(retrodict: Retrodict, zero: bool) -> Observer:
         sample = reorder_buffer.sample_of(now, arrival, gains.D)
         is_stored = (sample.tick < memory.posterior.tick) & (sample.tick >= memory.past.ticks[0])
         older = sample._replace(mask=sample.mask & is_stored, tick=jnp.minimum(sample.tick, memory.posterior.tick))
-        backward_stats = backward(gains, memory, older, retrodict(gains, memory, older.tick), zero)[1]
+        backward_stats = backward(gains, memory, older, retrodict(gains, memory, older.tick), neglect_noise)[1]
         forward_stats = linear_filter.newest_innovation_stats(gains, memory.posterior, sample)
         return select_memory(is_stored, backward_stats, forward_stats)
 

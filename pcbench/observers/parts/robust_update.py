@@ -66,13 +66,11 @@ def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> AnyPoste
     return GuardedPosterior(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
-def after(before: AnyPosterior, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> AnyPosterior:
+def new_posterior(before: AnyPosterior, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> AnyPosterior:
     """Return the state after a sample, of the same type as `before`."""
-    return (
-        GuardedPosterior(mean, P, tick, jnp.stack(rejections))
-        if isinstance(before, GuardedPosterior)
-        else Posterior(mean, P, tick)
-    )
+    if isinstance(before, GuardedPosterior):
+        return GuardedPosterior(mean, P, tick, jnp.stack(rejections))
+    return Posterior(mean, P, tick)
 
 
 def weigh(
@@ -82,6 +80,6 @@ def weigh(
     if not isinstance(before, GuardedPosterior):
         return mask, r, jnp.asarray(0)
     count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
-    out = mask & (z > guard.gate) & (count < guard.opens)
-    after = jnp.where(out, count + 1, jnp.where(mask, 0, count))
-    return mask & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after
+    is_rejected = mask & (z > guard.gate) & (count < guard.opens)
+    new_count = jnp.where(is_rejected, count + 1, jnp.where(mask, 0, count))
+    return mask & ~is_rejected, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), new_count

@@ -62,9 +62,9 @@ def start(xhat0: Float[Array, " n"]) -> ModelRun:
 def flow(model: SampledModel, run: ModelRun, now: Now) -> tuple[ModelRun, Bool[Array, ""]]:
     """Return the model one tick later, and whether that is a sampling tick."""
     tick = run.tick + 1
-    due = tick % model.period == 0
-    transition = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.transition)
-    return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, transition), due
+    is_sample = tick % model.period == 0
+    transition = jnp.where(is_sample, jnp.eye(run.xbar.shape[0]), model.Phi @ run.transition)
+    return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, transition), is_sample
 
 
 def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:

@@ -28,9 +28,8 @@ from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
 
 MAX_CLONES = 16  # clones; the joint covariance has (17 n)^2 entries
-Gain = Callable[
-    [Array, Array, Array], Array
-]  # (h [joint], s, mask of the rows of the present and of the sample's clone) -> K [joint]
+# (h [joint], s, mask of the rows of the present and of the sample's clone) -> K [joint]
+Gain = Callable[[Array, Array, Array], Array]
 
 
 class Memory(NamedTuple):
@@ -67,8 +66,8 @@ def predict_clone(gains: Gains, memory: Memory, now: Now) -> Memory:
     n, age = memory.xhat.shape[0], now.tick - memory.covariance_tick
     powers = gains.motion.powers
     P_now = covariance_after(powers, gains.noise, age, memory.P[:n, :n])
-    across = after(powers, age, memory.P[:n, n:])
-    P = jnp.block([[P_now, across], [across.T, memory.P[n:, n:]]])
+    cross_covariance = after(powers, age, memory.P[:n, n:])
+    P = jnp.block([[P_now, cross_covariance], [cross_covariance.T, memory.P[n:, n:]]])
     return memory._replace(P=P, covariance_tick=now.tick)
 
 
@@ -104,7 +103,8 @@ def observer(gain: Gain) -> Observer:
             z = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)])
             slot = jnp.append(False, memory.sampling_ticks == sample.tick)
             pair_mask = jnp.repeat(slot.at[0].set(True), n)
-            value, is_stored, R = linear_filter.value_of(gains, sample), jnp.any(slot), sample.variances(gains.R)
+            value, R = linear_filter.decorrelated_value(gains, sample), sample.variances(gains.R)
+            is_stored = jnp.any(slot)
             for channel in range(gains.C.shape[0]):
                 c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
                 row = (slot[:, None] * c[None, :]).reshape(-1)
@@ -135,17 +135,17 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
         z, P = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)]), memory.P
         slot = jnp.append(False, memory.sampling_ticks == sample.tick)
-        value, is_stored, total = linear_filter.value_of(gains, sample), jnp.any(slot), kalman.empty_stats()
+        value, is_stored, stats = linear_filter.decorrelated_value(gains, sample), jnp.any(slot), kalman.empty_stats()
         R = sample.variances(gains.R)
         for channel in range(gains.C.shape[0]):
             c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
             row = (slot[:, None] * c[None, :]).reshape(-1)
             h = P @ row
             nu, s = value[channel] - row @ z, row @ h + r
-            total = kalman.add_innovation(total, nu, s, mask)
+            stats = kalman.add_innovation(stats, nu, s, mask)
             K = kalman.gain(h, s, mask)
             z, P = z + K * nu, kalman.covariance(P, K, row, r)
-        return total
+        return stats
 
     return vmap_large_as_unit(memory.P, score)(memory, arrival)
 
@@ -154,7 +154,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
     """Return the present covariance."""
     n = memory.xhat.shape[0]
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.covariance_tick, memory.P[:n, :n])
-    return linear_filter.spread(gains, memory, P)
+    return linear_filter.signal_covariance(gains, memory, P)
 
 
 def room(context: DesignContext, name: str) -> Room:

@@ -22,8 +22,9 @@ from pcbench.observers.parts import kalman
 from pcbench.protocols import Leaf
 
 STEPS = 25  # steps of the interior-point method
-SHARE, NEAR = 0.1, 0.99  # target of l s relative to its mean; largest part of the distance to a bound in a step
-FIRST, LEAST = 1.0, 1e-14  # initial l s; least target of l s
+CENTERING = 0.1  # target of l s relative to its mean
+STEP_FRACTION = 0.99  # largest part of the distance to a bound in a step
+INITIAL_PRODUCT, LEAST_PRODUCT = 1.0, 1e-14  # initial l s; least target of l s
 
 
 class Chain(NamedTuple):
@@ -49,14 +50,14 @@ def smooth_chain(chain: Chain) -> Float[Array, "S N"]:
     """Return the most likely states, without bounds."""
 
     def forward(carry: tuple[Array, Array], stage: PyTree) -> tuple[tuple[Array, Array], PyTree]:
-        F, b, Q, *measured = stage
+        F, b, Q, *measurements = stage
         z, P = F @ carry[0] + b, F @ carry[1] @ F.T + Q
         before, updates = (z, P), []
-        for h, y, w in zip(*measured, strict=True):
+        for h, y, w in zip(*measurements, strict=True):
             Ph = P @ h
-            part = w / (1.0 + w * (h @ Ph))  # 1 / s, or 0
-            K, e = Ph * part, y - h @ z
-            updates.append((K, h, e * part))
+            inverse_variance = w / (1.0 + w * (h @ Ph))  # 1 / s, or 0
+            K, e = Ph * inverse_variance, y - h @ z
+            updates.append((K, h, e * inverse_variance))
             z, P = z + K * e, kalman.covariance(P, K, h, jnp.where(w > 0, 1.0 / jnp.where(w > 0, w, 1.0), 0.0))
         return (z, P), (before, [jnp.stack(columns) for columns in zip(*updates, strict=True)])
 
@@ -90,27 +91,30 @@ def solve_bounded(chain: Chain, bounds: Bounds, guess: Float[Array, "S N"]) -> F
     distances = [
         jnp.where(*pair, 1.0) for pair in zip(is_bounded, (z - bounds.low[None], bounds.high[None] - z), strict=True)
     ]
-    multipliers = (jnp.where(has, FIRST / distance, 0.0) for has, distance in zip(is_bounded, distances, strict=True))
+    multipliers = (
+        jnp.where(has, INITIAL_PRODUCT / distance, 0.0) for has, distance in zip(is_bounded, distances, strict=True)
+    )
     first = Point(z, *distances, *multipliers)
-    return lax.fori_loop(0, STEPS, lambda _, at: newton_step(chain, is_bounded, at), first).z
+    return lax.fori_loop(0, STEPS, lambda _, point: newton_step(chain, is_bounded, point), first).z
 
 
-def newton_step(chain: Chain, is_bounded: list[Array], at: Point) -> Point:
+def newton_step(chain: Chain, is_bounded: list[Array], point: Point) -> Point:
     """Return the point after one Newton step, shortened to stay within the bounds."""
-    (low, high), (z, s, t, l, u) = is_bounded, at
-    tau = jnp.maximum(SHARE * (jnp.sum(l * s) + jnp.sum(u * t)) / (jnp.sum(low) + jnp.sum(high)), LEAST)
+    (low, high), (z, s, t, l, u) = is_bounded, point
+    tau = jnp.maximum(CENTERING * (jnp.sum(l * s) + jnp.sum(u * t)) / (jnp.sum(low) + jnp.sum(high)), LEAST_PRODUCT)
     d, push = l / s + u / t, jnp.where(low, tau / s, 0.0) - jnp.where(high, tau / t, 0.0)
     identity = jnp.broadcast_to(jnp.eye(z.shape[1]), (*z.shape, z.shape[1]))
-    aim = smooth_chain(
+    target = smooth_chain(
         chain._replace(
             h=jnp.concatenate([chain.h, identity], axis=1),
             y=jnp.concatenate([chain.y, z + push / jnp.where(d > 0, d, 1.0)], axis=1),
             w=jnp.concatenate([chain.w, d], axis=1),
         )
     )
-    dz = aim - z
+    dz = target - z
     ds, dt = jnp.where(low, dz, 0.0), jnp.where(high, -dz, 0.0)
     dl, du = jnp.where(low, (tau - l * dz) / s - l, 0.0), jnp.where(high, (tau + u * dz) / t - u, 0.0)
     pairs = [(ds, s), (dt, t), (dl, jnp.where(low, l, 1.0)), (du, jnp.where(high, u, 1.0))]
-    length = jnp.minimum(1.0, NEAR / jnp.maximum(jnp.max(jnp.stack([-move / room for move, room in pairs])), NEAR))
-    return Point(*(a + length * b for a, b in zip(at, (dz, ds, dt, dl, du), strict=True)))
+    ratio = jnp.max(jnp.stack([-change / distance for change, distance in pairs]))
+    step_length = jnp.minimum(1.0, STEP_FRACTION / jnp.maximum(ratio, STEP_FRACTION))
+    return Point(*(a + step_length * b for a, b in zip(point, (dz, ds, dt, dl, du), strict=True)))

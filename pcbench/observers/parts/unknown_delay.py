@@ -63,7 +63,7 @@ class Options(assumed_noise.Options):
     stamps: bool = Field(True, description="use the differences between timestamps; false: use no timestamps")
 
 
-def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
+def expected_arrival_tick(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
     """Return the tick at which a sample that arrives now would have arrived with the assumed mean delay.
 
     No timestamp is below 0, so a sample with timestamp 0 may have been taken earlier. It counts as delayed by the mean, but
@@ -116,9 +116,9 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
             "over which every arrival propagates; write longest, or take a longer tick."
         )
     Phi, Gamma = linear.one_tick(model, dt)
-    q = assumed_noise.through(options.q, model.B.shape[1], context.input_intensity, where)
-    Q = linear.input_noise(model, q, dt, np.zeros(0)) + assumed_noise.process(context, options.Q, where)
-    mix, C, R = assumed_noise.independent(context, options.R, model.C, where)
+    q = assumed_noise.input_intensity(options.q, model.B.shape[1], context.input_intensity, where)
+    Q = linear.input_noise(model, q, dt, np.zeros(0)) + assumed_noise.process_covariance(context, options.Q, where)
+    mix, C, R = assumed_noise.decorrelate_outputs(context, options.R, model.C, where)
     if mix is not None:
         raise UserError(f"{where}: R: got noise that is correlated between outputs, expected a number for each.")
     return Gains(
@@ -145,7 +145,7 @@ def signals_of(gains: Gains, xhat: Array, delay: Array) -> Array:
     return jnp.append(xhat, delay) if gains.estimated.shape[0] else xhat
 
 
-def spread(gains: Gains, P: Float[Array, "N N"]) -> Array:
+def signal_covariance(gains: Gains, P: Float[Array, "N N"]) -> Array:
     """Return the covariance of the estimated signals from that of state and delay."""
     n = gains.C.shape[1] + gains.estimated.shape[0]
     return P[:n, :n]

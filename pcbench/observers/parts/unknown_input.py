@@ -63,7 +63,7 @@ class Gains(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Memory between ticks; `ahead` and `pushed` are the same in all runs."""
+    """Memory between ticks; `transition` and `input_integral` are the same in all runs."""
 
     xd: Float[Array, " n"]  # estimate of the state d ago
     w: Float[Array, " p"]  # integral of the law
@@ -82,7 +82,7 @@ class Options(StrictOptions):
     reconstruct: bool = Field(False, description="use the estimated unknown input in the prediction to the present")
 
 
-def observer(law: Injection) -> Observer:
+def observer(inject: Injection) -> Observer:
     """Return the observer with an injection law."""
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
@@ -107,13 +107,13 @@ def observer(law: Injection) -> Observer:
     def reconstruct(
         gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]
     ) -> Float[Array, " r"]:
-        v, _ = law(gains.law, gains.S @ jnp.append(xd, y), w)
+        v, _ = inject(gains.law, gains.S @ jnp.append(xd, y), w)
         return gains.pick @ v
 
     def field(gains: Gains, memory: Memory, now: Now, y: Float[Array, " p"]) -> Memory:
         """Return d memory/dt with the measurement y minus D u; entries that `flow` updates exactly have derivative 0."""
         z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
-        v, w_rate = law(gains.law, gains.S @ z, memory.w)
+        v, w_rate = inject(gains.law, gains.S @ z, memory.w)
         rate = gains.F @ z + gains.H @ now.past_u(gains.lag)
         zeros = (jnp.zeros_like(a) for a in memory[3:])
         return Memory(rate[:n] + gains.Lx @ v, w_rate, rate[n:], *zeros)
@@ -125,10 +125,10 @@ def observer(law: Injection) -> Observer:
         xd, w, y = (jnp.where(is_past_lag, new, old) for new, old in zip(state[:3], memory[:3], strict=True))
         old_response = jnp.where(is_past_lag, memory.transition @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - old_response
-        ahead = jnp.where(is_past_lag, memory.transition, gains.Phi @ memory.transition)
-        pushed = jnp.where(is_past_lag, memory.input_integral, gains.Phi @ memory.input_integral + gains.push)
+        transition = jnp.where(is_past_lag, memory.transition, gains.Phi @ memory.transition)
+        input_integral = jnp.where(is_past_lag, memory.input_integral, gains.Phi @ memory.input_integral + gains.push)
         f = reconstruct(gains, xd, w, y)
-        return Memory(xd=xd, w=w, y=y, f=f, response=response, transition=ahead, input_integral=pushed)
+        return Memory(xd=xd, w=w, y=y, f=f, response=response, transition=transition, input_integral=input_integral)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
         """Return the present xhat, and the unknown inputs."""
@@ -170,11 +170,11 @@ def require_one_delay(context: DesignContext, where: str) -> None:
         )
 
 
-def require_short_tick(context: DesignContext, gain: float, of: str, where: str) -> None:
+def require_short_tick(context: DesignContext, gain: float, gain_name: str, where: str) -> None:
     """Raise UserError if a Runge-Kutta step of one tick is unstable for a gain [1/s]."""
     if gain * context.dt > STABLE:
         raise UserError(
-            f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {context.dt:g} s, expected their product below "
+            f"{where}: got a gain {gain_name} of {gain:.3g} 1/s with a tick of {context.dt:g} s, expected their product below "
             f"{STABLE:g}, as a Runge-Kutta step needs; take a tick of at most {STABLE / gain:.2g} s, or other options."
         )
 
