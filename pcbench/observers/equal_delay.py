@@ -27,7 +27,7 @@ from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.pole_placement import by_poles
-from pcbench.synthesis.sampled_model import ROWS, delayed_radius, power, sample_plant
+from pcbench.synthesis.sampled_model import MAX_ROWS, delayed_radius, power, sample_plant
 
 OBSERVER = assumed_age.OBSERVER
 
@@ -56,7 +56,7 @@ def design(context: DesignContext, options: Options) -> Design:
         if np.isnan(rate):
             raise UserError(
                 f"{where}: got an assumed delay of {d} samples for {len(A)} states, expected at most "
-                f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
+                f"{MAX_ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
         gains = assumed_age.gains_of(context, A, K, (d,) * len(plant.tau))
     inequality = f"radius of the errors' map < 1, if every delay were {d} samples"

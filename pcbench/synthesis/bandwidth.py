@@ -86,11 +86,11 @@ class Chain(NamedTuple):
     G: Matrix  # [n, 1] direction of the disturbance d: E, or B without an unknown input
 
 
-def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
+def chain_of(model: Model, where: str, n_states: int | None = None) -> Chain:
     """Return a model as a chain of integrators.
 
     Raises UserError if the model is discrete, has several outputs or disturbances, feedthrough, a number of states other than
-    `longest`, or a relative degree from the disturbance to the output below n.
+    `n_states`, or a relative degree from the disturbance to the output below n.
     """
     G = model.B if model.E is None else model.E
     n = len(model.A)
@@ -103,7 +103,7 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
         or (f"{len(model.C)} outputs" if len(model.C) != 1 else "")
         or (f"{G.shape[1]} disturbed inputs" if G.shape[1] != 1 else "")
         or ("feedthrough" if model.feedthrough.any() else "")
-        or (f"{n} states" if longest is not None and n != longest else "")
+        or (f"{n} states" if n_states is not None and n != n_states else "")
         or known_part
     )
     if not problem:
@@ -114,7 +114,7 @@ def chain_of(model: Model, where: str, longest: int | None = None) -> Chain:
         if degree == n:
             return Chain(np.vstack(rows[:n]), rows[n], effect[-1], G)
         problem = f"a disturbance of relative degree {degree} with {n} states"
-    states = f"{longest}" if longest is not None else "n"
+    states = f"{n_states}" if n_states is not None else "n"
     raise UserError(
         f"{where}: got {problem}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, "
         f"and one input or unknown input that acts on its derivative of order {states} first; take kf."

@@ -24,7 +24,7 @@ from pcbench.value_cache import cached_by_value
 
 MAX_LINKS = 12  # largest default number of links
 DENSE = 300  # rows of a map from which on the largest eigenvalue alone is computed
-WHAT = "radius of the links' error maps over one sampling period < 1"
+INEQUALITY = "radius of the links' error maps over one sampling period < 1"
 
 
 class Links(NamedTuple):
@@ -88,7 +88,7 @@ def certify(Phi: Matrix, C: Matrix, links: Links, period: int) -> Certificate:
         "radius_of_first_link": first,
         "radius_of_others": max(other_radii.values(), default=0.0),
     }
-    return Certificate(WHAT, 1 - max(first, *other_radii.values(), 0.0), "numpy", "computed", numbers)
+    return Certificate(INEQUALITY, 1 - max(first, *other_radii.values(), 0.0), "numpy", "computed", numbers)
 
 
 def design(

@@ -33,9 +33,8 @@ class Certificate(NamedTuple):
     status: str  # status that the solver returned
     numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates of the certificate, by name
     rate: float = float("nan")  # certified decay rate of the error without noise [1/s]; NaN: none
-    fallback: str = (
-        ""  # why the answer of the first solver was rejected; empty: it was accepted, or no solver was needed
-    )
+    # why the answer of the first solver was rejected; empty: it was accepted, or no solver was needed
+    fallback: str = ""
 
 
 class Design(NamedTuple):
@@ -96,10 +95,8 @@ class DesignContext(NamedTuple):
     @property
     def noise_covariance(self) -> np.ndarray:
         """Covariance of the noise of a sample, q by q."""
-        size = np.sqrt(self.noise_variance)
-        return np.outer(size, size) * (
-            np.array(self.noise_correlation) if self.noise_correlation else np.eye(len(size))
-        )
+        std = np.sqrt(self.noise_variance)
+        return np.outer(std, std) * (np.array(self.noise_correlation) if self.noise_correlation else np.eye(len(std)))
 
     @property
     def process_noise(self) -> np.ndarray:

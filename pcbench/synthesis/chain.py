@@ -38,7 +38,7 @@ from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.pole_placement import by_poles
 from pcbench.synthesis.sampled_model import SampledPlant, invertible, noise_over, power, require_visible
 
-LARGEST = 600  # rows of the map of one sample; above, its radius is computed from the links
+MAX_ROWS = 600  # rows of the map of one sample; above, its radius is computed from the links
 
 
 class Link(NamedTuple):
@@ -59,20 +59,21 @@ def ages(tau: tuple[int, ...]) -> list[int]:
 
 def links(plant: SampledPlant, gain: str, pole: float, per_sample: bool, output: str, where: str) -> list[Link]:
     """Return a link for each channel, shortest delay first; `pole` is that of each link, or of each sample of a link."""
-    theta, out = ages(plant.tau), []
+    theta, link_list = ages(plant.tau), []
     n, q = len(plant.A), len(plant.C)
     for start, end in pairwise(theta):
-        d, seen = end - start, np.array([float(tau <= end) for tau in plant.tau])
+        d, has_arrived = end - start, np.array([float(tau <= end) for tau in plant.tau])
         if d == 0:
-            out.append(Link(0, seen, np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, q)), np.zeros((q, n))))
+            zeros = np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, q)), np.zeros((q, n))
+            link_list.append(Link(0, has_arrived, *zeros))
             continue
         p = pole**d if per_sample else pole
-        by_pole = by_companion if gain == "companion" else by_poles
-        K = by_riccati(plant, d, where) if gain == "riccati" else by_pole(plant, d, p, where)
+        gain_of = by_companion if gain == "companion" else by_poles
+        K = by_riccati(plant, d, where) if gain == "riccati" else gain_of(plant, d, p, where)
         Ad, C = power(plant.A, d), plant.C
         V = C @ K if output == "updated" else C @ Ad @ np.linalg.pinv(C)
-        out.append(Link(d, seen, Ad - K @ C, K, V, C @ Ad - V @ C))
-    return out
+        link_list.append(Link(d, has_arrived, Ad - K @ C, K, V, C @ Ad - V @ C))
+    return link_list
 
 
 def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
@@ -126,9 +127,9 @@ def sample_map(chain: list[Link], C: Matrix) -> Matrix:
             continue
         selector = np.zeros((n, n * blocks))
         selector[:, n * (source - 1) : n * source] = np.eye(n)
-        miss = (1 - link.has_arrived)[:, None] * eps
-        J[n * stamp : n * (stamp + 1)] = link.F @ selector + link.K @ miss
-        eps = link.W @ selector + link.V @ miss
+        replacement = (1 - link.has_arrived)[:, None] * eps
+        J[n * stamp : n * (stamp + 1)] = link.F @ selector + link.K @ replacement
+        eps = link.W @ selector + link.V @ replacement
     return J
 
 
@@ -150,34 +151,34 @@ def rounding(F: Matrix, d: int) -> float:
 def certify(chain: list[Link], C: Matrix, method: str) -> Certificate:
     """Return 1 minus the radius of the map of one sample as margin; NaN if it differs from the radius of the links."""
     numbers: dict[str, float | Matrix]
-    real = [link for link in chain if link.d]
-    rate = max(radius(link.F) ** (1 / link.d) for link in real)
-    exact = radius(sample_map(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
+    nonempty = [link for link in chain if link.d]
+    rate = max(radius(link.F) ** (1 / link.d) for link in nonempty)
+    exact = radius(sample_map(chain, C)) if len(C[0]) * sum(link.d for link in nonempty) <= MAX_ROWS else rate
     low, high = (
-        max(max(radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in real)
+        max(max(radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in nonempty)
         for sign in (-1, 1)
     )
     is_consistent = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
-    for i, link in enumerate(real):
+    for i, link in enumerate(nonempty):
         numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
     margin = 1 - max(exact, rate) if is_consistent else float("nan")
     return Certificate("radius of the errors' map over one sample < 1", margin, method, "computed", numbers)
 
 
-SPAN = (-6.0, 3.0)  # of log10 e
+EXPONENT_RANGE = (-6.0, 3.0)  # of log10 e
 
 
 def couplings(chain: list[Link]) -> list[list[Matrix]]:
     """Return Phi_ij [n, n] of every link i with d > 0, for each link j before it."""
-    real, out = [link for link in chain if link.d], []
-    for i, link in enumerate(real):
+    nonempty, rows = [link for link in chain if link.d], []
+    for i, link in enumerate(nonempty):
         path, row = link.K * (1 - link.has_arrived), []
-        for before in real[i + 1 :]:
-            row.append(path @ before.W)
-            path = path @ before.V * (1 - before.has_arrived)
-        out.append(row)
-    return out
+        for source_link in nonempty[i + 1 :]:
+            row.append(path @ source_link.W)
+            path = path @ source_link.V * (1 - source_link.has_arrived)
+        rows.append(row)
+    return rows
 
 
 def check(
@@ -200,7 +201,7 @@ def check(
 
     from scipy.optimize import minimize_scalar  # takes a tenth of a second to import
 
-    minimize_scalar(loss, bounds=SPAN, method="bounded", options={"xatol": 0.05})
+    minimize_scalar(loss, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 0.05})
     e = max(results, key=lambda key: -np.inf if np.isnan(results[key][0]) else results[key][0])
     return {"shared_margin": results[e][0], "shared_epsilon": e, "shared_P": results[e][1]}
 
@@ -215,13 +216,13 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, solver_names: tup
 
     n = len(F[0])
     P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
-    rules = [P << np.eye(n), P >> t * np.eye(n)]
+    constraints = [P << np.eye(n), P >> t * np.eye(n)]
     for M, row in zip(F, Phi, strict=True):
         form = _inequality(M, row, e, P)
-        rules.append((form + form.T) / 2 >> t * np.eye(n))
+        constraints.append((form + form.T) / 2 >> t * np.eye(n))
     for solver in solver_names:
         try:
-            return solvers.minimise(-t, rules, (P,), "(29)", solver, "none is needed")[1][0]
+            return solvers.minimise(-t, constraints, (P,), "(29)", solver, "none is needed")[1][0]
         except DesignError:
             continue
     return np.zeros((0, 0))

@@ -68,12 +68,12 @@ def solve(corners: ErrorMaps, rate: float, where: str, solver: str = "CLARABEL")
     k = J.shape[1]
     P, t = cp.Variable((k, k), symmetric=True), cp.Variable()
     Y = None if H is None else cp.Variable((k, H.shape[1]))
-    rules = [P << np.eye(k)]
+    constraints = [P << np.eye(k)]
     for i in range(len(J)):
         M = P @ J[i] if Y is None or H is None else P @ J[i] - np.exp(rate * corners.seconds[i]) * (Y @ H[i])
-        rules.append(cp.bmat([[P, M.T], [M, P]]) >> t * np.eye(2 * k))
+        constraints.append(cp.bmat([[P, M.T], [M, P]]) >> t * np.eye(2 * k))
     unknowns = (P, t) if Y is None else (P, t, Y)
-    status, (X, least, *Z) = solvers.minimise(-t, rules, unknowns, where, solver, "narrow the intervals")
+    status, (X, least, *Z) = solvers.minimise(-t, constraints, unknowns, where, solver, "narrow the intervals")
     G = np.asarray(np.linalg.solve(X, Z[0]), dtype=np.float64) if Z else np.zeros((0, 0))
     return CommonLyapunov(X, G, float(least), status, solver)
 

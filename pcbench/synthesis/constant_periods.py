@@ -26,8 +26,8 @@ def held_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
     n, q = L.shape
     block = np.zeros((n + q, n + q))
     block[:n, :n], block[:n, n:] = A, -L
-    over = expm(block * seconds)
-    return np.asarray(over[:n, :n] + over[:n, n:] @ C)
+    flow_map = expm(block * seconds)
+    return np.asarray(flow_map[:n, :n] + flow_map[:n, n:] @ C)
 
 
 def predictor_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
@@ -36,8 +36,8 @@ def predictor_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
     e' = A e - L g with g' = -C L g and g = C e at a sample.
     """
     n, q = L.shape
-    over = expm(np.block([[A, -L], [np.zeros((q, n)), -C @ L]]) * seconds)
-    return np.asarray(over[:n, :n] + over[:n, n:] @ C)
+    flow_map = expm(np.block([[A, -L], [np.zeros((q, n)), -C @ L]]) * seconds)
+    return np.asarray(flow_map[:n, :n] + flow_map[:n, n:] @ C)
 
 
 def jump_map(A: Matrix, K: Matrix, C: Matrix, seconds: float) -> Matrix:
@@ -55,11 +55,11 @@ def largest_stable(radius: Callable[[float], float], upper: float, steps: int = 
     from scipy.optimize import brentq  # takes a tenth of a second to import
 
     grid = np.linspace(upper / steps, upper, steps)
-    over = next((i for i, period in enumerate(grid) if radius(float(period)) > 1), None)
-    if not over:
-        problem = "stable at all" if over is None else "unstable at the first"
+    first_unstable = next((i for i, period in enumerate(grid) if radius(float(period)) > 1), None)
+    if not first_unstable:
+        problem = "stable at all" if first_unstable is None else "unstable at the first"
         raise DesignError(
             f"the search for the largest constant period: got errors that are {problem} of {steps} periods up to {upper:g}, "
             "expected a limit between them; search another range."
         )
-    return float(brentq(lambda period: radius(period) - 1, grid[over - 1], grid[over], xtol=1e-13))
+    return float(brentq(lambda period: radius(period) - 1, grid[first_unstable - 1], grid[first_unstable], xtol=1e-13))

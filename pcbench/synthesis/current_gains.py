@@ -51,7 +51,7 @@ def find(
     s = riccati.nearest_scale(np.linalg.norm(C * S, axis=1))
     scaling, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if gain is None and method in ROBUST:
-        size = _size(context, Phi, Q, R)
+        size = _error_size(context, Phi, Q, R)
         task = robust_lmi.RobustTask(maps or mean, C, R, Phi_delay / riccati.prior_size(context)[:, None], size)
         solution, certificate = robust_lmi.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(solution.L, float)
@@ -60,11 +60,11 @@ def find(
         L, certificate = at_the_mean(method, start, Phi * scaling, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
             all_maps = maps or mean
-            certificate = _over(L, C1, all_maps._replace(Phi=all_maps.Phi * scaling), decay or 0.0, where)
+            certificate = _certify_range(L, C1, all_maps._replace(Phi=all_maps.Phi * scaling), decay or 0.0, where)
         L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
     L1 = L / S[:, None] * s
-    X = Phi_delay @ (_noise_alone(L1, C1, Phi * scaling, R1) * np.outer(S, S)) @ Phi_delay.T
+    X = Phi_delay @ (_noise_covariance(L1, C1, Phi * scaling, R1) * np.outer(S, S)) @ Phi_delay.T
     numbers = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -78,7 +78,7 @@ def _over_period(model: linear.Model, dt: float, q: float, process: Matrix, peri
 
 
 @cached_by_value
-def _noise_alone(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
+def _noise_covariance(L: Matrix, C: Matrix, Phi: Matrix, R: Matrix) -> Matrix:
     """Return the stationary covariance that measurement noise alone causes."""
     return error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T)
 
@@ -110,12 +110,11 @@ def at_the_mean(
     return np.asarray(sharpen(solution).L, float), certificate
 
 
-def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
+def _certify_range(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
     """Return the certificate of a gain over a range, at a rate [1/s]."""
     F = error_bounds.errors(L, C, maps.Phi)
-    fastest = float(
-        (-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.MIN_FACTOR)) / maps.seconds).min()
-    )
+    factors = np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.MIN_FACTOR)
+    fastest = float((-np.log(factors) / maps.seconds).min())
     if not decay < fastest:
         raise DesignError(
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
@@ -127,7 +126,7 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
     return common_lyapunov.design(corners, lambda solution: error_maps, decay, inequality, where)[1]
 
 
-def _size(context: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+def _error_size(context: DesignContext, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Return the size of the errors [n] for the solver: that of a Kalman filter if one exists, otherwise that of x(0)."""
     prior = riccati.prior_size(context)
     try:

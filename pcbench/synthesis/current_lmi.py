@@ -64,8 +64,8 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
     P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
     M = P @ Phi - Y @ (C @ Phi)
     block = cp.bmat([[P, M.T], [M, P]])
-    rules = [block >> t * np.eye(2 * n), P << np.eye(n)]
-    status, (X, Z, least) = solvers.minimise(-t, rules, (P, Y, t), where, solver, "try another period")
+    constraints = [block >> t * np.eye(2 * n), P << np.eye(n)]
+    status, (X, Z, least) = solvers.minimise(-t, constraints, (P, Y, t), where, solver, "try another period")
     return CurrentGain(X, np.asarray(np.linalg.solve(X, Z), dtype=np.float64), float(least), status, solver)
 
 

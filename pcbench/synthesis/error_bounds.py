@@ -100,11 +100,11 @@ def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
 
     def square(exponent: float) -> float:
         S = np.exp(exponent) * P
-        room = S - W.T @ W - Ft @ S @ F
-        if not np.linalg.eigvalsh(room).min() > 0:
+        slack = S - W.T @ W - Ft @ S @ F
+        if not np.linalg.eigvalsh(slack).min() > 0:
             return NO_BOUND
-        back = Ft @ S @ B
-        return float(np.linalg.eigvalsh(Bt @ S @ B + back.transpose(0, 2, 1) @ np.linalg.solve(room, back)).max())
+        cross = Ft @ S @ B
+        return float(np.linalg.eigvalsh(Bt @ S @ B + cross.transpose(0, 2, 1) @ np.linalg.solve(slack, cross)).max())
 
     if not (np.isfinite(P).all() and np.linalg.eigvalsh(P)[0] > 0):
         return float("nan")

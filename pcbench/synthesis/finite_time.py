@@ -23,8 +23,8 @@ from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
 
 FASTEST = 0.01  # size of a mode per sample below which it keeps its pole
-LARGEST = 1e8  # of the entries of K1, K2; above, rounding errors dominate
-WHAT = "radius of F1 and F2 < 1; K1 + K2 = I, K1 F1^N + K2 F2^N = 0"
+MAX_WEIGHT = 1e8  # of the entries of K1, K2; above, rounding errors dominate
+INEQUALITY = "radius of F1 and F2 < 1; K1 + K2 = I, K1 F1^N + K2 F2^N = 0"
 
 
 class FiniteTimeGains(NamedTuple):
@@ -60,20 +60,20 @@ def design(
     I, slow = np.eye(len(Phi)), bandwidth.slow_modes(Phi, C, FASTEST)
     L = np.stack([bandwidth.current_gain(Phi, C, p, FASTEST, where) for p in (pole, pole**ratio)])
     F = (I - L @ C) @ Phi
-    after = np.linalg.matrix_power(F, N)
+    F_N = np.linalg.matrix_power(F, N)
     try:
-        k2 = weights(*(slow.W @ after @ slow.V))[1]
+        k2 = weights(*(slow.W @ F_N @ slow.V))[1]
     except np.linalg.LinAlgError:
         k2 = np.full_like(slow.Phi, np.inf)
     size = float(np.abs(k2).max(initial=0.0))
-    if not size < LARGEST:
+    if not size < MAX_WEIGHT:
         raise DesignError(
-            f"{where}: got weights of size {size:.2g} for {N} samples, expected less than {LARGEST:g}; take more samples or "
+            f"{where}: got weights of size {size:.2g} for {N} samples, expected less than {MAX_WEIGHT:g}; take more samples or "
             "other poles."
         )
     K2 = slow.V @ k2 @ slow.W
     K = np.stack([I - K2, K2])
     radius = float(np.abs(np.linalg.eigvals(F)).max())
-    H = (K[0] @ after[0] - K[1] @ after[1]) / 2
-    numbers = {"K1": K[0], "K2": K[1], "L1": L[0], "L2": L[1], "left": float(np.abs((K @ after).sum(0)).max())}
-    return FiniteTimeGains(L, K, H), Certificate(WHAT, 1 - radius, "numpy", "computed", numbers)
+    H = (K[0] @ F_N[0] - K[1] @ F_N[1]) / 2
+    numbers = {"K1": K[0], "K2": K[1], "L1": L[0], "L2": L[1], "left": float(np.abs((K @ F_N).sum(0)).max())}
+    return FiniteTimeGains(L, K, H), Certificate(INEQUALITY, 1 - radius, "numpy", "computed", numbers)

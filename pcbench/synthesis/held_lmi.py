@@ -27,7 +27,7 @@ from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
 PRECISION = 1e-3  # relative, of the largest interval
-UNKNOWN = np.zeros((0, 0))  # a gain to be computed
+UNKNOWN_GAIN = np.zeros((0, 0))  # a gain to be computed
 
 
 class HeldTask(NamedTuple):
@@ -63,16 +63,16 @@ def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[An
     rate, ages = task.rate * unit, [T / unit for T in task.intervals]
     outputs = [np.diag([float(clock == g) for clock in task.clocks]) @ task.C for g in range(len(ages))]
     forms = []
-    for A, ages_old in itertools.product(task.A * unit, itertools.product((False, True), repeat=len(ages))):
+    for A, is_old_by_clock in itertools.product(task.A * unit, itertools.product((False, True), repeat=len(ages))):
         M2, M3 = (w @ A - y @ task.C for w, y in zip(W, Y, strict=True))
-        young_R = sum(
-            (age * r for age, r, is_old in zip(ages, R, ages_old, strict=True) if not is_old), np.zeros((n, n))
+        fresh_R = sum(
+            (age * r for age, r, is_old in zip(ages, R, is_old_by_clock, strict=True) if not is_old), np.zeros((n, n))
         )
         f12 = P - W[0] + M3.T
-        rows = [[M2 + M2.T + 2 * rate * P, f12], [f12.T, young_R - W[1] - W[1].T]]
-        for g in (g for g, is_old in enumerate(ages_old) if is_old):
-            edge = [ages[g] * (y @ outputs[g]) for y in Y]
-            for row, block in zip(rows, [*edge, *[np.zeros((n, n))] * (len(rows) - 2)], strict=True):
+        rows = [[M2 + M2.T + 2 * rate * P, f12], [f12.T, fresh_R - W[1] - W[1].T]]
+        for g in (g for g, is_old in enumerate(is_old_by_clock) if is_old):
+            off_diagonal = [ages[g] * (y @ outputs[g]) for y in Y]
+            for row, block in zip(rows, [*off_diagonal, *[np.zeros((n, n))] * (len(rows) - 2)], strict=True):
                 row.append(block)
             diagonal = -ages[g] * np.exp(-2 * rate * ages[g]) * R[g]
             rows.append([row[-1].T for row in rows] + [diagonal])
@@ -81,26 +81,26 @@ def corner_forms(task: HeldTask, P: Any, R: Any, W: tuple[Any, Any], Y: tuple[An
 
 
 def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> HeldGain:
-    """Certify the gain L [n, q], or compute one if L is UNKNOWN, with the largest t; raise DesignError without an answer."""
+    """Certify L [n, q], or compute a gain if L is UNKNOWN_GAIN, with the largest t; raise DesignError without an answer."""
     import cvxpy as cp
 
     n, q = task.A.shape[-1], len(task.C)
     P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
     R = [cp.Variable((n, n), symmetric=True) for _ in task.intervals]
     P2 = cp.Variable((n, n))
-    hL = max(task.intervals) * L
+    unit_L = max(task.intervals) * L
     if L.size:
         last = P3 = cp.Variable((n, n))
-        Y = P2.T @ hL, P3.T @ hL
+        Y = P2.T @ unit_L, P3.T @ unit_L
     else:
         last = cp.Variable((n, q))
         P3, Y = task.ratio * P2, (last, task.ratio * last)
-    rules = [P << np.eye(n), P >> t * np.eye(n), *(R_g >> t * np.eye(n) for R_g in R)]
+    constraints = [P << np.eye(n), P >> t * np.eye(n), *(R_g >> t * np.eye(n) for R_g in R)]
     for form in map(cp.bmat, corner_forms(task, P, R, (P2.T, P3.T), Y)):
-        rules.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
+        constraints.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
     advice = "shorten the intervals, take a slower decay, or narrow the ranges"
-    status, (X, margin, X2, Z, *S) = solvers.minimise(-t, rules, (P, t, P2, last, *R), where, solver, advice)
-    X3, gain = (Z, hL) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
+    status, (X, margin, X2, Z, *S) = solvers.minimise(-t, constraints, (P, t, P2, last, *R), where, solver, advice)
+    X3, gain = (Z, unit_L) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
     return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)
 
 
@@ -124,19 +124,19 @@ def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple
     `scale` [n] are units of the states for the solver. Raises DesignError if no gain is certified.
     """
     unit_task = task._replace(A=task.A / scale[:, None] * scale, C=task.C * scale)
-    gain0 = UNKNOWN if L is None else L / scale[:, None]
+    unit_gain = UNKNOWN_GAIN if L is None else L / scale[:, None]
     arrays = (
         unit_task.A,
         unit_task.C,
         np.array(unit_task.clocks),
         np.array(unit_task.intervals),
         np.array([unit_task.rate, unit_task.ratio]),
-        gain0,
+        unit_gain,
     )
 
     def ask(solver: str) -> HeldGain:
         return solvers.solve_or_load(
-            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(unit_task, gain0, where, solver)
+            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(unit_task, unit_gain, where, solver)
         )
 
     solution, certificate = solvers.solve_certified(
@@ -160,7 +160,7 @@ def largest_interval(task: HeldTask, L: Matrix | None, upper: float) -> tuple[fl
         middle = (low + high) / 2
         trial = task._replace(intervals=(middle,) * len(task.intervals))
         try:
-            certificate = certify(trial, solve(trial, UNKNOWN if L is None else L, "the largest interval"))
+            certificate = certify(trial, solve(trial, UNKNOWN_GAIN if L is None else L, "the largest interval"))
         except DesignError:
             certificate = None
         if certificate and certificate.margin > 0:

@@ -21,9 +21,9 @@ from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate, require_certified
 from pcbench.value_cache import cached_by_value
 
-WHAT = "radius of |V^-1 M V| < 1, M = Phi (I - L C), V its real modes"
+INEQUALITY = "radius of |V^-1 M V| < 1, M = Phi (I - L C), V its real modes"
 FASTEST = 1e-3  # size of a mode per sample below which it keeps its pole
-WORST = 1e6  # condition number of V, with columns and rows of one size
+MAX_CONDITION = 1e6  # condition number of V, with columns and rows of one size
 
 
 class IntervalGains(NamedTuple):
@@ -42,9 +42,8 @@ def gain(Phi: Matrix, C: Matrix, pole: float, poles: list[float] | None, where: 
     slow = bandwidth.slow_modes(Phi, C, 0.0 if poles else FASTEST)
     k = len(slow.Phi)
     target_poles = np.array(poles) if poles else pole * np.arange(k, 0, -1) / max(k, 1)
-    return slow.V @ bandwidth.predictor_gain(
-        slow.Phi, slow.C @ slow.Phi, target_poles, where
-    )  # (I - L C) Phi has the poles of M
+    # (I - L C) Phi has the poles of M
+    return slow.V @ bandwidth.predictor_gain(slow.Phi, slow.C @ slow.Phi, target_poles, where)
 
 
 def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGains, Certificate]:
@@ -63,7 +62,7 @@ def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGain
     l, modes = np.linalg.eig(M)
     V = np.where(l.imag < 0, modes.imag, modes.real)
     rows = np.abs(V).max(1, keepdims=True)
-    if not np.linalg.cond(V / np.where(rows > 0, rows, 1.0)) < WORST:
+    if not np.linalg.cond(V / np.where(rows > 0, rows, 1.0)) < MAX_CONDITION:
         raise DesignError(
             f"{where}: got a gain with the poles {np.round(np.sort_complex(l), 6).tolist()} per sample, expected distinct "
             "ones; give another gain or other poles."
@@ -71,7 +70,7 @@ def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGain
     back = np.asarray(np.linalg.inv(V), float)
     N = np.abs(back @ M @ V)
     margin = 1 - float(np.abs(np.linalg.eigvals(N)).max())
-    certificate = Certificate(WHAT, margin, "numpy", "computed", {"L": L, "V": V, "N": N})
+    certificate = Certificate(INEQUALITY, margin, "numpy", "computed", {"L": L, "V": V, "N": N})
     return IntervalGains(L, np.asarray(V, float), back), require_certified(certificate, where)
 
 

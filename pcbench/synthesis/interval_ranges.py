@@ -69,9 +69,8 @@ def certify(error: SampledError, low: float, high: float, where: str) -> Certifi
     solution = common_lyapunov.solve(ErrorMaps(maps_over(error, seconds), seconds), 0.0, where)
     largest_norm = norm_bound(error, solution.P, low, high)
     inequality = f"|G(s)| < 1 for all s from {low:g} to {high:g} s, in the norm of P"
-    return Certificate(
-        inequality, 1 - largest_norm, solution.solver, solution.status, {"P": solution.P, "largest_norm": largest_norm}
-    )
+    numbers = {"P": solution.P, "largest_norm": largest_norm}
+    return Certificate(inequality, 1 - largest_norm, solution.solver, solution.status, numbers)
 
 
 def norm_bound(error: SampledError, P: Matrix, low: float, high: float, cells: int = CELLS) -> float:
@@ -91,5 +90,5 @@ def norm_bound(error: SampledError, P: Matrix, low: float, high: float, cells: i
     while len(middles) < cells:
         middles.append(to_next @ middles[-1])
     X = np.stack(middles)  # exp(F s) J in the middle of each cell
-    at, slope, size = (np.linalg.norm(Y, 2, axis=(1, 2)) for Y in (E @ X, E @ F @ X, X))
-    return float((at + w * slope + remainder * size).max())
+    norm_at_middle, slope, size = (np.linalg.norm(Y, 2, axis=(1, 2)) for Y in (E @ X, E @ F @ X, X))
+    return float((norm_at_middle + w * slope + remainder * size).max())

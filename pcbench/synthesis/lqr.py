@@ -30,9 +30,9 @@ def gain(Phi: Matrix, Gamma: Matrix, Q1: Matrix, Q2: Matrix, where: str) -> Matr
         S = solve_discrete_are(Phi, Gamma, Q1, Q2)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{first_sentence(error)}'), "
-            "expected a plant that its "
-            "inputs can stabilise and a Q1 that weights every mode that does not decay; weight another state or add an input."
+            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{first_sentence(error)}'), expected a plant "
+            "that its inputs can stabilise and a Q1 that weights every mode that does not decay; weight another state or add "
+            "an input."
         ) from error
     return np.asarray(np.linalg.solve(Q2 + Gamma.T @ S @ Gamma, Gamma.T @ S @ Phi), float)
 
@@ -53,15 +53,12 @@ def monodromy_matrix(tick: tuple[Matrix, Matrix], law: Law, period: int, late: i
     """
     Phi, Gamma = tick
     n, m, k = *Gamma.shape, len(law.A)
-    transit_count = -(-late // period)  # commands of earlier periods that have not acted yet
-    identity = np.eye(n + k + m * transit_count)
-    x, s, commands = (
-        identity[:n],
-        identity[n : n + k],
-        [identity[n + k + m * j :][:m] for j in range(transit_count)],
-    )  # newest first
-    commands = [law.C @ s + law.D @ x, *commands]
+    n_transit = -(-late // period)  # commands of earlier periods that have not acted yet
+    identity = np.eye(n + k + m * n_transit)
+    x, s = identity[:n], identity[n : n + k]
+    in_transit = [identity[n + k + m * j :][:m] for j in range(n_transit)]  # newest first
+    commands = [law.C @ s + law.D @ x, *in_transit]
     s = law.A @ s + law.B @ x
     for i in range(period):
         x = Phi @ x + Gamma @ commands[-((i - late) // period)]
-    return np.vstack([x, s, *commands[:transit_count]])
+    return np.vstack([x, s, *commands[:n_transit]])

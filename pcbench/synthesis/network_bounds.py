@@ -47,8 +47,8 @@ def network_loop(
     (A, B, C), (Ac, Bc, Cc, Dc) = plant, controller
     A11 = np.block([[A + B @ Dc @ C, B @ Cc], [Bc @ C, Ac]])
     A12 = np.vstack([B @ Dc, Bc])
-    out = np.hstack([C, np.zeros((len(C), len(Ac)))])
-    return NetworkLoop(A11, A12, -out @ A11, -out @ A12)
+    output = np.hstack([C, np.zeros((len(C), len(Ac)))])
+    return NetworkLoop(A11, A12, -output @ A11, -output @ A12)
 
 
 def l2_gain(A: Matrix, B: Matrix, C: Matrix) -> float:
@@ -84,10 +84,10 @@ def older_interval_bound(L: float, gamma: float, factor: float) -> float:
 
 def round_robin_radius(loop: NetworkLoop, interval: float) -> float:
     """Return the spectral radius of the map over one transmission of each output in turn, one every `interval` seconds."""
-    over, N, q = expm(loop.flow * interval), len(loop.A11), len(loop.A22)
+    flow_map, N, q = expm(loop.flow * interval), len(loop.A11), len(loop.A22)
     cycle = np.eye(N + q)
     for node in range(q):
-        cycle = over @ cycle
+        cycle = flow_map @ cycle
         cycle[N + node] = 0.0  # received: yh = y of this output
     return spectral_radius(cycle)
 
@@ -102,11 +102,11 @@ def try_once_discard_rate(loop: NetworkLoop, interval: float, seed: int, transmi
 
     At each transmission the output with the largest |e| is sent. A simulation, not a proof.
     """
-    over, N = expm(loop.flow * interval), len(loop.A11)
-    state = np.random.default_rng(seed).standard_normal(len(over))
+    flow_map, N = expm(loop.flow * interval), len(loop.A11)
+    state = np.random.default_rng(seed).standard_normal(len(flow_map))
     total = 0.0
     for _ in range(transmissions):
-        state = over @ state
+        state = flow_map @ state
         state[N + int(np.abs(state[N:]).argmax())] = 0.0
         size = float(np.linalg.norm(state))
         total, state = total + log(size), state / size

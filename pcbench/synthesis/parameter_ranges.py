@@ -60,9 +60,9 @@ def maps(
     process noise through the input, per second. Raises UserError for a range without a tick, or a parameter that the plant
     does not have.
     """
-    ticks = (
-        list(context.intervals or sorted(set(context.period))) if periods is None else _ticks(periods, context, where)
-    )
+    ticks = list(context.intervals or sorted(set(context.period)))
+    if periods is not None:
+        ticks = _ticks(periods, context, where)
     grid = {name: np.linspace(low, high, VALUES) for name, (low, high) in (parameters or {}).items()}
     count = len(ticks) * VALUES ** len(grid)
     if count > MAX_MAPS:
@@ -99,9 +99,8 @@ def _maps_at(context: DesignContext, parameters: dict[str, float], ticks: list[i
     tick = linear.input_noise(model, q, context.dt) + context.process_noise
     binary_maps = linear.doublings(model, context.dt, linear.bits_for(max(ticks)))
     noise = linear.noise_doublings(model, tick, context.dt, len(binary_maps))
-    return np.stack([linear.over(binary_maps, t) for t in ticks]), np.stack(
-        [linear.noise_over(binary_maps, noise, t) for t in ticks]
-    )
+    Phi = np.stack([linear.over(binary_maps, t) for t in ticks])
+    return Phi, np.stack([linear.noise_over(binary_maps, noise, t) for t in ticks])
 
 
 def _corners(intervals: int, parameters: int) -> NDArray[np.int64]:

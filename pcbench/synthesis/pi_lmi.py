@@ -89,14 +89,15 @@ def certify(solution: PIGains, plant: Split, L1: Matrix) -> Certificate:
 def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:
     """Return P [n+p, n+p] from P1 [n-p, n-p] and the diagonals [p] of its other blocks."""
     zero = np.zeros((len(P1), len(P21)))
-    low = [[zero.T, np.diag(P21), np.diag(P23)], [zero.T, np.diag(P23), np.diag(P22)]]
-    return np.block([[P1, zero, zero], *low])
+    lower_rows = [[zero.T, np.diag(P21), np.diag(P23)], [zero.T, np.diag(P23), np.diag(P22)]]
+    return np.block([[P1, zero, zero], *lower_rows])
 
 
 def _has_form(P: Matrix, k: int, p: int) -> bool:
     """Return whether P has exactly the form that Proposition 2 needs."""
-    of = [P[k + i * p : k + (i + 1) * p, k + j * p : k + (j + 1) * p].diagonal() for i, j in ((0, 0), (0, 1), (1, 1))]
-    return np.array_equal(P, form(P[:k, :k], *of)) and bool((of[1] >= 0).all())
+    blocks = ((0, 0), (0, 1), (1, 1))
+    diagonals = [P[k + i * p : k + (i + 1) * p, k + j * p : k + (j + 1) * p].diagonal() for i, j in blocks]
+    return np.array_equal(P, form(P[:k, :k], *diagonals)) and bool((diagonals[1] >= 0).all())
 
 
 def _model_only(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
@@ -112,17 +113,16 @@ def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> P
     (p, k), (Ab, Bb) = A21.shape, _model_only(A11b, A21)
     Q1, g = cp.Variable((k, k), symmetric=True), cp.Variable()
     q21, q23, q22 = cp.Variable(p), cp.Variable(p), cp.Variable(p)
-    zero, low = np.zeros((k, p)), (cp.diag(q21), cp.diag(q23), cp.diag(q22))
-    Q = cp.bmat([[Q1, zero, zero], [zero.T, low[0], low[1]], [zero.T, low[1], low[2]]])
+    zero, diagonals = np.zeros((k, p)), (cp.diag(q21), cp.diag(q23), cp.diag(q22))
+    Q = cp.bmat([[Q1, zero, zero], [zero.T, diagonals[0], diagonals[1]], [zero.T, diagonals[1], diagonals[2]]])
     LL = cp.Variable((p, 2 * p))
-    half = Ab @ Q - Bb @ cp.hstack([zero.T, LL]) + beta * Q
-    rules = [half + half.T << 0, Q >> np.eye(k + 2 * p), q23 <= 0, cp.sigma_max(LL) <= g]
+    half_form = Ab @ Q - Bb @ cp.hstack([zero.T, LL]) + beta * Q
+    constraints = [half_form + half_form.T << 0, Q >> np.eye(k + 2 * p), q23 <= 0, cp.sigma_max(LL) <= g]
     unknowns = (Q1, q21, q23, q22, LL, g)
-    status, (X1, a, b, c, gains, least) = solvers.minimise(g, rules, unknowns, where, solver, ADVICE)
+    status, (X1, a, b, c, gains, least) = solvers.minimise(g, constraints, unknowns, where, solver, ADVICE)
     # The inverse channel by channel, so that its blocks are diagonal to the bit; Q23 > 0 is a rounding error of the solver.
     b = np.minimum(b, 0.0)
-    P = form(
-        np.asarray(np.linalg.inv(X1), dtype=np.float64), c / (a * c - b**2), -b / (a * c - b**2), a / (a * c - b**2)
-    )
+    P1, det = np.asarray(np.linalg.inv(X1), dtype=np.float64), a * c - b**2
+    P = form(P1, c / det, -b / det, a / det)
     K = gains @ P[k:, k:]  # [KI, KP]
     return PIGains(K[:, p:], K[:, :p], P, float(least), status, solver)

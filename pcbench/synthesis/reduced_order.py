@@ -97,8 +97,8 @@ def design(
             f"{where}: got {k + l} states and {l} independent output{'s' * (l > 1)}, expected at most {2 * l} states: with "
             "more, the error's map has the eigenvalue 1 for all gains Kp and Ki. Use pco, or measure another output."
         )
-    measured, unseen = plant.units[:l], plant.units[l:]
-    into_w, into_y = unseen / unseen[:, None], unseen / measured[:, None]
+    measured, unmeasured = plant.units[:l], plant.units[l:]
+    into_w, into_y = unmeasured / unmeasured[:, None], unmeasured / measured[:, None]
     plant = plant._replace(A12=plant.A12 * into_y, A22=plant.A22 * into_w)
     gain_list = [gain / into_y.T for gain in gain_list]
     zero, (A12, A22, seconds) = np.zeros((k, l)), _corners(plant, rate)
@@ -120,16 +120,13 @@ def design(
         corner_maps = ErrorMaps(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
     inequality = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
     inequality = inequality.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else inequality
-    solution, certificate = common_lyapunov.design(
-        corner_maps, maps_of, rate, f"{inequality} at every interval T", where
-    )
+    inequality = f"{inequality} at every interval T"
+    solution, certificate = common_lyapunov.design(corner_maps, maps_of, rate, inequality, where)
     Kp, Ki = (gain * into_y.T for gain in gains(solution))
-    scale = np.tile(unseen, 2 if integral else 1)
-    numbers = (
-        dict(certificate.numbers)
-        | {"P": solution.P / np.outer(scale, scale), "Kp": Kp}
-        | ({"Ki": Ki} if integral else {})
-    )
+    scale = np.tile(unmeasured, 2 if integral else 1)
+    numbers = dict(certificate.numbers) | {"P": solution.P / np.outer(scale, scale), "Kp": Kp}
+    if integral:
+        numbers["Ki"] = Ki
     return Kp, Ki, certificate._replace(numbers=numbers)
 
 

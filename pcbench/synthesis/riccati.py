@@ -94,12 +94,12 @@ def multirate(
 
     The result is cached, because observers and grid points of one study share it.
     """
-    P, at, K = P0, 0, np.zeros((len(P0), len(C)))
+    P, last_tick, K = P0, 0, np.zeros((len(P0), len(C)))
     over = cache(lambda gap: _over(binary_maps, noise, gap))  # gaps repeat
     innovation, least = np.inf, np.inf
     for tick in sorted({t for interval in period for t in range(0, ticks + 1, interval)}):
-        E, Q = over(tick - at)
-        P, at = E @ P @ E.T + Q, tick
+        E, Q = over(tick - last_tick)
+        P, last_tick = E @ P @ E.T + Q, tick
         for j in [j for j, interval in enumerate(period) if tick % interval == 0]:
             c, r = C[j : j + 1], R[j : j + 1, None]
             innovation = min(innovation, float((c @ P @ c.T + r)[0, 0]) / R.min())
@@ -111,7 +111,7 @@ def multirate(
 
 ChannelSample = tuple[int, int]  # a sample: the tick at which it is taken, its channel
 Stage = tuple[int, Matrix]  # a tick and a root S of the covariance there, P = S S'
-After = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S after `ticks` and a sample of the channel
+UpdateRoot = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S after `ticks` and a sample of the channel
 
 
 class Steps(NamedTuple):
@@ -124,7 +124,7 @@ class Steps(NamedTuple):
     stages: dict[bytes, Matrix]  # samples that arrive in order -> covariances [m + 1, n, n] after none, one, two ...
 
 
-ROOM = 1 << 16  # covariances in each of the two caches of `Steps`: some ten megabytes
+MAX_ENTRIES = 1 << 16  # covariances in each of the two caches of `Steps`: some ten megabytes
 
 
 def no_steps() -> Steps:
@@ -155,22 +155,23 @@ def posterior_variance(
     """
     steps = no_steps() if steps is None else steps
     times = np.asarray(samples, int).reshape(-1, 3)
-    since, at, P = _newest(partial(_after, steps, binary_maps, noise, C, R), P0, times, steps)
+    since, sample_ticks, P = _newest(partial(_after, steps, binary_maps, noise, C, R), P0, times, steps)
     start, stop = np.maximum(since, ticks.start), np.minimum(np.append(since[1:], ticks.stop), ticks.stop)
     nonempty = start < stop
-    start, stop, P = (start - at)[nonempty], (stop - at)[nonempty], P[nonempty]  # ticks after a sample
+    start, stop = (start - sample_ticks)[nonempty], (stop - sample_ticks)[nonempty]  # ticks after a sample
+    P = P[nonempty]
     F, G = _flow(steps, binary_maps, noise, int(stop.max()))
     total = np.zeros(len(P0))
     for i in np.sort(np.unique(start + 1j * stop, return_index=True)[1]):
         P_i = P[(start == start[i]) & (stop == stop[i])]
-        F_i, G_i = (of[start[i] : stop[i]] for of in (F, G))
+        F_i, G_i = (matrices[start[i] : stop[i]] for matrices in (F, G))
         total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", F_i, F_i), P_i.sum(0))
         total += len(P_i) * np.einsum("kii->i", G_i)
     return total / len(ticks)
 
 
 def _newest(
-    after: After, P0: Matrix, samples: NDArray[np.integer], steps: Steps
+    after: UpdateRoot, P0: Matrix, samples: NDArray[np.integer], steps: Steps
 ) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
     """Return ticks [m] from which on a newest sample is known, those of the samples, and covariances after them [m, n, n].
 
@@ -182,7 +183,7 @@ def _newest(
     if (np.lexsort((channel, sample_ticks)) == np.arange(len(sample_ticks))).all():
         key = np.append(P0, samples[order, 1:]).tobytes()
         if key not in steps.stages:
-            if sum(map(len, steps.stages.values())) + len(sample_ticks) > ROOM:
+            if sum(map(len, steps.stages.values())) + len(sample_ticks) > MAX_ENTRIES:
                 steps.stages.clear()
             stages = [(0, root(P0))]
             for tick, j in zip(sample_ticks.tolist(), channel.tolist(), strict=True):
@@ -190,27 +191,28 @@ def _newest(
                 stages.append((tick, after(S, tick - before, j)))
             steps.stages[key] = np.stack([S @ S.T for _, S in stages])
         newest = np.append(0, np.flatnonzero(last) + 1)
-        since, at, P = np.append(0, arrives[last]), np.append(0, sample_ticks)[newest], steps.stages[key][newest]
+        since, newest_ticks = np.append(0, arrives[last]), np.append(0, sample_ticks)[newest]
+        P = steps.stages[key][newest]
     else:
-        since, at, P = _newest_out_of_order(after, P0, samples[order])
+        since, newest_ticks, P = _newest_out_of_order(after, P0, samples[order])
     first = int(len(since) > 1 and since[1] == 0)  # 1 if a sample arrives at tick 0
-    return since[first:], at[first:], P[first:]
+    return since[first:], newest_ticks[first:], P[first:]
 
 
 def _newest_out_of_order(
-    after: After, P0: Matrix, samples: NDArray[np.integer]
+    after: UpdateRoot, P0: Matrix, samples: NDArray[np.integer]
 ) -> tuple[NDArray[np.integer], NDArray[np.integer], Matrix]:
     """As `_newest`, for samples in the order of arrival, some of which arrive after a newer one."""
     sequence: list[ChannelSample] = []  # oldest first
     stages: list[Stage] = [(0, root(P0))]  # after none, one, two ... of them
     since = {-1: stages[0]}
     for tick, *sample in samples.tolist():
-        place = bisect(sequence, tuple(sample))
-        sequence.insert(place, tuple(sample))
-        del stages[place + 1 :]
-        for sample_tick, channel in sequence[place:]:
-            at, S = stages[-1]
-            stages.append((sample_tick, after(S, sample_tick - at, channel)))
+        position = bisect(sequence, tuple(sample))
+        sequence.insert(position, tuple(sample))
+        del stages[position + 1 :]
+        for sample_tick, channel in sequence[position:]:
+            last_tick, S = stages[-1]
+            stages.append((sample_tick, after(S, sample_tick - last_tick, channel)))
         since[tick] = stages[-1]
     newest, roots = zip(*since.values(), strict=True)
     return np.maximum(list(since), 0), np.array(newest), np.stack([S @ S.T for S in roots])
@@ -227,10 +229,10 @@ def _after(
         map_, Q = _over(binary_maps, noise, ticks)
         steps.over[ticks] = map_, root(Q)
     E, G = steps.over[ticks]
-    if len(steps.after) >= ROOM:
+    if len(steps.after) >= MAX_ENTRIES:
         steps.after.clear()
-    later = steps.after[key] = root_after(np.hstack([E @ S, G]), C[channel], float(R[channel]))
-    return later
+    posterior = steps.after[key] = root_after(np.hstack([E @ S, G]), C[channel], float(R[channel]))
+    return posterior
 
 
 def root_after(S: Matrix, c: Matrix, r: float) -> Matrix:
@@ -257,9 +259,9 @@ def root(P: Matrix) -> Matrix:
 def _flow(steps: Steps, binary_maps: Matrix, noise: Matrix, count: int) -> tuple[Matrix, Matrix]:
     """Return the maps over 0, 1 ... ticks and the covariance that noise adds over them, [count, n, n] each."""
     if not steps.flow or len(steps.flow["maps"]) < count:
-        room = 1 << (count - 1).bit_length()  # a power of 2, so that slightly longer delays use it again
+        capacity = 1 << (count - 1).bit_length()  # a power of 2, so that slightly longer delays use it again
         maps, noises = [np.eye(len(binary_maps[0]))], [np.zeros_like(binary_maps[0])]
-        for _ in range(room - 1):
+        for _ in range(capacity - 1):
             maps.append(binary_maps[0] @ maps[-1])
             noises.append(binary_maps[0] @ noises[-1] @ binary_maps[0].T + noise[0])
         steps.flow.update(maps=np.stack(maps), noise=np.stack(noises))

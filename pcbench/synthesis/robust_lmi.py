@@ -25,7 +25,7 @@ from pcbench.synthesis.parameter_ranges import Maps
 
 Kind = Literal["decay", "h2", "hinf"]
 FASTEST = 5.0  # fastest decay, e^-5 per sample
-NEARLY = 1.01  # factor of the least squared energy gain
+ENERGY_FACTOR = 1.01  # factor of the least squared energy gain
 STEPS = 24  # of the search for the fastest rate
 ADVICE = "take a slower decay or a narrower range"
 
@@ -63,13 +63,7 @@ def design(
     least = 0.0 if decay is None else decay * (1 - RATE_TOL)
 
     def ask(solver: str) -> RobustGain:
-        problem = (
-            task.maps.at_corners.Phi,
-            task.maps.at_corners.Q,
-            task.maps.at_corners.seconds,
-            *task[1:],
-            np.array(decay or 0.0),
-        )
+        problem = (*task.maps.at_corners[:3], *task[1:], np.array(decay or 0.0))
         return solvers.solve_or_load(
             RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
@@ -101,13 +95,13 @@ def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
 def solve(task: RobustTask, kind: Kind, decay: float | None, where: str, solver: str = "CLARABEL") -> RobustGain:
     """Solve the inequalities at the corners of a range; raise DesignError without an answer.
 
-    For hinf, many gains have nearly the least energy gain; of those up to NEARLY times it, the result has the least
+    For hinf, many gains have nearly the least energy gain; of those up to ENERGY_FACTOR times it, the result has the least
     covariance.
     """
     if kind != "hinf":
         return _solve(task, kind, decay, np.inf, where, solver)
     least = _solve(task, kind, decay, np.inf, where, solver)
-    return _solve(task, "h2", decay, NEARLY * least.cost, where, solver)
+    return _solve(task, "h2", decay, ENERGY_FACTOR * least.cost, where, solver)
 
 
 def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, where: str, solver: str) -> RobustGain:
@@ -120,23 +114,23 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
     W = W / np.linalg.norm(W)
     n, q = len(S), len(C)
     P, Y, cost = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
-    rules: list[cp.Constraint] = []
+    constraints: list[cp.Constraint] = []
     P_YC = P - Y @ C
     for Phi, Q, T in zip(*task.maps.at_corners[:3], strict=True):
         M, G = P_YC @ (Phi / S[:, None] * S), P_YC @ riccati.root(Q / S[:, None] / S)
         if decay is not None or kind == "decay":
             N = np.exp((decay or 0.0) * T) * M
-            rules.append(cp.bmat([[P, N.T], [N, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
+            constraints.append(cp.bmat([[P, N.T], [N, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
         if kind == "h2":  # of unit noise; with a finite energy gain that of P - W'W/g implies that of P
-            rules.append(_block(cp, P, M, G, Y, P - W.T @ W / energy, 1.0) >> 0)
+            constraints.append(_block(cp, P, M, G, Y, P - W.T @ W / energy, 1.0) >> 0)
         if kind == "hinf":
-            rules.append(_block(cp, P, M, G, Y, P - W.T @ W, cost) >> 0)
+            constraints.append(_block(cp, P, M, G, Y, P - W.T @ W, cost) >> 0)
     if kind == "decay":
-        rules.append(P << np.eye(n))
+        constraints.append(P << np.eye(n))
     if kind == "h2":
         Z = cp.Variable((n, n), symmetric=True)
-        rules += [cp.bmat([[Z, W], [W.T, P]]) >> 0, cp.trace(Z) <= cost]
-    status, (X, K, least) = solvers.minimise(cost, rules, (P, Y, cost), where, solver, ADVICE)
+        constraints += [cp.bmat([[Z, W], [W.T, P]]) >> 0, cp.trace(Z) <= cost]
+    status, (X, K, least) = solvers.minimise(cost, constraints, (P, Y, cost), where, solver, ADVICE)
     try:
         L = np.asarray(np.linalg.solve(X, K), dtype=np.float64)
     except np.linalg.LinAlgError:

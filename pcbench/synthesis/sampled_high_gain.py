@@ -64,10 +64,5 @@ def certificate(theta: float, period: float) -> Certificate:
         "linear_limit": limit("predictor", 3),
         "radius": radius("predictor", 3, theta * period),
     }
-    return Certificate(
-        "none: the observer is nonlinear; the numbers are of its linear limit",
-        float("inf"),
-        "none",
-        "not needed",
-        numbers,
-    )
+    reason = "none: the observer is nonlinear; the numbers are of its linear limit"
+    return Certificate(reason, float("inf"), "none", "not needed", numbers)

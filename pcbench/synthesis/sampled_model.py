@@ -18,7 +18,7 @@ from pcbench.synthesis.certificate import NO_NOISE, DesignContext
 power = np.linalg.matrix_power
 MIN_SINGULAR_VALUE = 1e-8  # least singular value of Hautus' test for an observable mode, in scaled units
 NO_DECAY = 1 - 1e-9  # a mode of this absolute value or more does not decay
-ROWS = 1500  # of the largest map whose spectral radius is computed
+MAX_ROWS = 1500  # of the largest map whose spectral radius is computed
 MAX_GROWTH = 100.0  # powers of ten by which a model may grow over a delay
 
 
@@ -40,7 +40,8 @@ def sample_plant(context: DesignContext, observer: str, q: float | None = None) 
 
     Raises UserError if channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
     """
-    where, period = f"{observer} in {context.scenario}", _period_in_ticks(context, f"{observer} in {context.scenario}")
+    where = f"{observer} in {context.scenario}"
+    period = _period_in_ticks(context, where)
     model, tau = context.model, tuple(delay // period for delay in context.delay)
     tick = linear.input_noise(model, context.input_intensity if q is None else q, context.dt) + context.process_noise
     binary_maps = linear.doublings(model, context.dt, linear.bits_for(period))
@@ -108,16 +109,15 @@ def require_visible(
             direction = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
             kind = "a detectable" if least else "an observable"
             raise UserError(
-                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} "
-                "of A^d (along "
-                f"[{direction}]), expected {kind} pair for {purpose}; measure another output or change a delay."
+                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {format_mode(complex(mode))} of A^d "
+                f"(along [{direction}]), expected {kind} pair for {purpose}; measure another output or change a delay."
             )
 
 
 def delayed_radius(A: Matrix, K: Matrix, C: Matrix, ages: tuple[int, ...]) -> float:
     """Return the spectral radius of e(k+1) = A e(k) - sum_j K_j C_j e(k - ages_j); NaN if the ages are too long."""
     n = len(A)
-    if n * (max(ages) + 1) > ROWS:
+    if n * (max(ages) + 1) > MAX_ROWS:
         return float("nan")
     J = np.eye(n * (max(ages) + 1), k=-n)
     J[:n, :n] += A

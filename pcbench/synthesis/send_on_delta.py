@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_banded
 
-SHIFT = (
-    0.5826  # -zeta(1/2) / sqrt(2 pi): mean overshoot of a random walk over a level, in standard deviations of a step
-)
+# -zeta(1/2) / sqrt(2 pi): mean overshoot of a random walk over a level, in standard deviations of a step
+SHIFT = 0.5826
 
 
 class TriggerStats(NamedTuple):
@@ -46,10 +45,11 @@ def simulate(threshold: float, step: float, steps: int, seed: int, shift: bool =
     level = threshold - SHIFT * np.sqrt(step) if shift else threshold
     increments = np.random.default_rng(seed).standard_normal(steps) * np.sqrt(step)
     x, squares, count = 0.0, 0.0, 0
-    for move in increments.tolist():
-        after = x + move
-        squares += (x * x + x * after + after * after) / 3 + step / 6  # mean of x^2 over the step, given its two ends
-        x = after
+    for increment in increments.tolist():
+        x_next = x + increment
+        # mean of x^2 over the step, given its two ends
+        squares += (x * x + x * x_next + x_next * x_next) / 3 + step / 6
+        x = x_next
         if abs(x) >= level:
             x, count = 0.0, count + 1
     return TriggerStats(steps * step / max(count, 1), squares / steps)

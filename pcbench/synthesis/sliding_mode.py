@@ -84,8 +84,8 @@ def certify(solution: SlidingModeGains, plant: Split) -> Certificate:
 
 
 def _solve(plant: Split, alpha: float, where: str, solver: str) -> SlidingModeGains:
-    fast = np.linalg.eigvals(plant.A11).real.min() < -alpha
-    *bounds, last = BOUNDS if fast else (np.inf,)
+    has_fast_mode = np.linalg.eigvals(plant.A11).real.min() < -alpha
+    *bounds, last = BOUNDS if has_fast_mode else (np.inf,)
     for bound in bounds:
         try:
             return _solve_with_bound(plant, alpha, bound, where, solver)
@@ -101,12 +101,12 @@ def _solve_with_bound(plant: Split, alpha: float, bound: float, where: str, solv
     k, p = len(A11), len(A21)
     P1, P2, r = cp.Variable((k, k), symmetric=True), cp.Variable((p, p), symmetric=True), cp.Variable()
     k1, k2 = cp.Variable((k, len(A211))), cp.Variable((p, p))
-    first, second = P1 @ A11 - k1 @ A211 + alpha * P1, alpha * P2 - k2
-    M = cp.bmat([[first + first.T, A21.T @ P2], [P2 @ A21, second + second.T]])
-    rules = [M << 0, P1 >> np.eye(k), P2 >> np.eye(p), cp.sigma_max(k1) <= r, cp.sigma_max(k2) <= r]
+    diagonal1, diagonal2 = P1 @ A11 - k1 @ A211 + alpha * P1, alpha * P2 - k2
+    M = cp.bmat([[diagonal1 + diagonal1.T, A21.T @ P2], [P2 @ A21, diagonal2 + diagonal2.T]])
+    constraints = [M << 0, P1 >> np.eye(k), P2 >> np.eye(p), cp.sigma_max(k1) <= r, cp.sigma_max(k2) <= r]
     if np.isfinite(bound):
-        rules.append(P1 << bound * np.eye(k))
+        constraints.append(P1 << bound * np.eye(k))
     unknowns = (P1, P2, k1, k2, r)
-    status, (X1, X2, x1, x2, least) = solvers.minimise(r, rules, unknowns, where, solver, ADVICE)
+    status, (X1, X2, x1, x2, least) = solvers.minimise(r, constraints, unknowns, where, solver, ADVICE)
     L1, A22s = (np.asarray(np.linalg.solve(X, x), dtype=np.float64) for X, x in ((X1, x1), (X2, -x2)))
     return SlidingModeGains(L1=L1, P1=X1, P2=X2, A22s=A22s, r=float(least), status=status, solver=solver)

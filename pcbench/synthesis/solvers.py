@@ -36,8 +36,8 @@ SETTINGS = {
     | dict.fromkeys(("reduced_tol_gap_abs", "reduced_tol_gap_rel", "reduced_tol_feas"), 1e-6),
     "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
 }
-F = TypeVar("F")  # an answer
-ANSWERED = ("optimal", "optimal_inaccurate")
+Solution = TypeVar("Solution")  # an answer
+SOLVED = ("optimal", "optimal_inaccurate")
 
 
 class Impossible(DesignError):
@@ -46,7 +46,7 @@ class Impossible(DesignError):
 
 def minimise(
     objective: "cp.Expression",
-    rules: "list[cp.Constraint]",
+    constraints: "list[cp.Constraint]",
     unknowns: "tuple[cp.Variable, ...]",
     where: str,
     solver: str,
@@ -59,7 +59,7 @@ def minimise(
     """
     import cvxpy as cp
 
-    problem = cp.Problem(cp.Minimize(objective), rules)
+    problem = cp.Problem(cp.Minimize(objective), constraints)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # inaccurate answers; the status reports them too
@@ -67,22 +67,22 @@ def minimise(
         status = str(problem.status)
     except (cp.SolverError, ValueError, ArithmeticError) as error:  # also errors of a solver that are no SolverError
         status = str(error)
-    if status not in ANSWERED:
-        kind = Impossible if status == "infeasible" else DesignError
-        raise kind(
+    if status not in SOLVED:
+        error_type = Impossible if status == "infeasible" else DesignError
+        raise error_type(
             f"{where}: the LMI was not solved ({solver} said '{first_sentence(status)}'), expected a solution; {advice}."
         )
     return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
 
 
 def solve_certified(
-    solve: Callable[[str], F],
-    certify: Callable[[F], Certificate],
+    solve: Callable[[str], Solution],
+    certify: Callable[[Solution], Certificate],
     where: str,
     least: float = 0.0,
-    hopeless: Callable[[F], bool] = lambda solution: False,
+    hopeless: Callable[[Solution], bool] = lambda solution: False,
     solver_names: tuple[str, ...] = SOLVERS,
-) -> tuple[F, Certificate]:
+) -> tuple[Solution, Certificate]:
     """Return the first solver's solution whose certificate has a margin above `least`, and the certificate.
 
     `solve` takes a solver's name. If `hopeless(solution)`, the solution itself shows that no gain is better, and no other
@@ -90,7 +90,7 @@ def solve_certified(
     Raises DesignError with the largest margin if no solution is certified, or with the last status if there is none.
     """
     attempts: list[str] = []
-    candidates: list[tuple[F, Certificate]] = []
+    candidates: list[tuple[Solution, Certificate]] = []
     failure: DesignError | None = None
     for solver in solver_names:
         try:
@@ -112,15 +112,17 @@ def solve_certified(
     return best[0], require_certified(best[1], where, least)
 
 
-def solve_or_load(kind: Callable[..., F], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], F]) -> F:
-    """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and store it."""
+def solve_or_load(
+    solution_type: Callable[..., Solution], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Solution]
+) -> Solution:
+    """Return a `solution_type` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and store it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
     label = f"{name} {_solvers()}".encode()
-    key = hashlib.sha256(bits + label + _source(kind.__module__) + _source(__name__)).hexdigest()[:32]
+    key = hashlib.sha256(bits + label + _source(solution_type.__module__) + _source(__name__)).hexdigest()[:32]
     path = folder("gains") / f"{name}-{key}.json"
     try:
         fields = json.loads(path.read_text())
-        return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()})
+        return solution_type(**{k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()})
     except (OSError, ValueError, TypeError, AttributeError):
         solution = solve()
         keep(path, _to_json(solution))

@@ -58,12 +58,12 @@ def split(model: Model, where: str) -> Split:
     C, rows = model.C, _unit(model.C)
     # f scaled so that each moves y by 1, for a pseudo-inverse independent of units
     E = E0 / np.linalg.norm(C @ E0, axis=0)
-    E2, back = C @ E, np.linalg.pinv(C @ E)
+    E2, E2_pinv = C @ E, np.linalg.pinv(C @ E)
     N = _basis(np.eye(n) - np.linalg.pinv(rows) @ rows, n - p)
-    Tp = np.vstack([_basis(np.eye(p) - E2 @ back, p - r), _basis(E2 @ back, r)])
-    T = np.vstack([N - N @ E @ back @ C, Tp @ C])
-    large = np.abs(T) > TIE * np.abs(T).max(1, keepdims=True)
-    sign = np.sign(np.take_along_axis(T, large.argmax(1)[:, None], 1))
+    Tp = np.vstack([_basis(np.eye(p) - E2 @ E2_pinv, p - r), _basis(E2 @ E2_pinv, r)])
+    T = np.vstack([N - N @ E @ E2_pinv @ C, Tp @ C])
+    is_nonzero = np.abs(T) > TIE * np.abs(T).max(1, keepdims=True)
+    sign = np.sign(np.take_along_axis(T, is_nonzero.argmax(1)[:, None], 1))
     T, Tp = sign * T, sign[n - p :] * Tp
     A, k = T @ model.A @ np.linalg.inv(T), n - p
     blocks = {"A11": A[:k, :k], "A12": A[:k, k:], "A21": A[k:, :k], "A22": A[k:, k:]}
@@ -93,9 +93,8 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
     if slowest >= -rate:
         advice = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
-            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed_modes))}, "
-            "expected each left of "
-            f"{-rate:.4g} 1/s; {advice}measure other outputs."
+            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed_modes))}, expected "
+            f"each left of {-rate:.4g} 1/s; {advice}measure other outputs."
         )
 
 
@@ -134,10 +133,10 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
         ("1, rank E = r", rank(E), r, "leave a repeated unknown input out"),
         ("1, rank(C E) = r", rank(product(C, E)), r, "measure what the unknown input moves at once"),
     )
-    for condition, got, expected, advice in ranks:
-        if got < expected:
+    for condition, value, expected, advice in ranks:
+        if value < expected:
             raise UserError(
-                f"{where}: Assumption {condition}, is not met: got rank {got}, expected {expected}; {advice}."
+                f"{where}: Assumption {condition}, is not met: got rank {value}, expected {expected}; {advice}."
             )
     counts = (
         (n > p, "n > p", f"{n} states and {p} outputs", "leave an output out"),
@@ -150,9 +149,9 @@ def _require_assumptions(model: Model, where: str) -> Matrix:
                 f"{where}: Assumption 2, {condition}, is not met: got {counts_text}, expected {condition}; {advice}."
             )
     for mode in unobservable(A, C):
-        got = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1
+        value = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1
         raise UserError(
-            f"{where}: Assumption 2, (C, A) observable, is not met: got rank {got} of [lam I - A; C] at the mode "
+            f"{where}: Assumption 2, (C, A) observable, is not met: got rank {value} of [lam I - A; C] at the mode "
             f"lam = {format_mode(mode)}, expected {n}; measure another output."
         )
     return E
@@ -163,16 +162,16 @@ def _unit(rows: Matrix) -> Matrix:
     return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
 
 
-def _basis(onto: Matrix, k: int) -> Matrix:
-    """Return an orthonormal basis, as rows [k, n], of the k-dimensional space with the orthogonal projection `onto`.
+def _basis(projection: Matrix, k: int) -> Matrix:
+    """Return an orthonormal basis, as rows [k, n], of the k-dimensional space with the orthogonal `projection`.
 
     The unit vector closest to the space is projected onto it, and so on in the remaining space; of equally close ones, the
     first is used. So a space spanned by axes has those axes as its basis, in their order.
     """
-    rows = np.zeros((k, len(onto)))
+    rows = np.zeros((k, len(projection)))
     for row in rows:
-        size = np.linalg.norm(onto, axis=0)
+        size = np.linalg.norm(projection, axis=0)
         first = int(np.argmax(size > (1 - TIE) * size.max()))
-        row[:] = onto[:, first] / size[first]
-        onto = onto - np.outer(row, row @ onto)
+        row[:] = projection[:, first] / size[first]
+        projection = projection - np.outer(row, row @ projection)
     return rows

@@ -180,7 +180,7 @@ def decorrelate(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
 
 
 def value_near(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
-    """Return `value_of` a sample, or y + residual(value, y) for outputs such as angles, with the prediction y."""
+    """Return `decorrelate` of a sample, or y + residual(value, y) for outputs such as angles, with the prediction y."""
     if gains.residual is None:
         return decorrelate(gains, value)
     expected = y if gains.mix is None else jax.scipy.linalg.solve_triangular(gains.mix, y, lower=True)
