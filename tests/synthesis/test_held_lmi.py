@@ -74,7 +74,7 @@ def test_functional_falls_along_runs_with_random_intervals(clocks):
     """Its integral is a sum over short ticks, so V may rise by their error only."""
     longest = (0.4, 0.25)[: max(clocks) + 1]
     task = HeldTask(OWN_A[None], OWN_C, clocks, longest)
-    found = held_lmi.solve(task, held_lmi.UNKNOWN, "test")
+    found = held_lmi.solve(task, held_lmi.UNKNOWN_GAIN, "test")
     assert held_lmi.certify(task, found).margin > 0
     unit, h = max(longest), 1e-3
     L, rng = found.L / unit, np.random.default_rng(8)
@@ -130,7 +130,7 @@ def test_units_of_the_states_do_not_change_what_is_certified():
 )
 def test_broken_answer_is_not_certified(broken):
     task = HeldTask(OWN_A[None], OWN_C, (0, 1), (0.3, 0.2))
-    found = held_lmi.solve(task, held_lmi.UNKNOWN, "test")
+    found = held_lmi.solve(task, held_lmi.UNKNOWN_GAIN, "test")
     assert held_lmi.certify(task, found).margin > 0
     assert not held_lmi.certify(task, broken(found)).margin > 0
 
