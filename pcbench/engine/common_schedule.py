@@ -13,7 +13,7 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.engine import lane_array
-from pcbench.engine.initial_state import begin
+from pcbench.engine.initial_state import initial_lanes
 from pcbench.engine.steps import ApplyEvents, any_is_notified, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurements
 from pcbench.simulation.measurements import Noise
@@ -23,7 +23,7 @@ from pcbench.simulation.types import ArrivalInfo, GridPointParams, Layout, Packe
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[ApplyEvents, State]:
     """Return the function that applies a tick's events to a block of runs, and the state before tick 0."""
     noise = measurements.noise_sampler(p, root_seed, seeds, barrier=True)
-    state = with_rings(layout, p, noise, begin(layout, p, root_seed, seeds))
+    state = with_rings(layout, p, noise, initial_lanes(layout, p, root_seed, seeds))
     return partial(apply_events, layout, p, noise), state
 
 

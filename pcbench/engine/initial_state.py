@@ -30,7 +30,7 @@ def tick_sampler(
     return lambda k: steps.TickNoise(process(k), jax.tree.map(lane_array.split, command(k)))
 
 
-def begin(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:
+def initial_lanes(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> State:
     """Return the state before tick 0 of one lane for each of seeds[L].
 
     `flight` is one packet with the snapshots of the initial state; the event modules build rings from it.

@@ -14,7 +14,7 @@ from jax import Array, lax
 from jaxtyping import PyTree
 
 from pcbench.engine import lane_array, packing
-from pcbench.engine.initial_state import begin
+from pcbench.engine.initial_state import initial_lanes
 from pcbench.engine.steps import any_is_notified, flow, jump, measure, notify_sampled, snapshot
 from pcbench.simulation import measurements
 from pcbench.simulation.schedule.common_times import NEVER
@@ -89,7 +89,11 @@ class Events(NamedTuple):
 def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0 with packed memories."""
     clocks: PyTree = p.schedule
-    table, zero, state = event_table(clocks, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
+    table, zero, state = (
+        event_table(clocks, root_seed, seeds),
+        jnp.asarray(0),
+        initial_lanes(layout, p, root_seed, seeds),
+    )
     rows, no_noise = len(table.arrives), jnp.zeros(0)  # no process noise: it does not enter a memory
     samples = _queue(table.sampling_ticks * rows)
     shift = clocks.error * rows

@@ -19,7 +19,7 @@ from jaxtyping import PyTree
 
 from pcbench.moments.dependence import argument_dependence
 from pcbench.moments.events import jump, sense
-from pcbench.moments.inputs import begin
+from pcbench.moments.inputs import initial_run
 from pcbench.moments.noise_state import OneCell, by_shapes, form_of, jacobian, vector
 from pcbench.moments.propagate import one_cell, tick_vector
 from pcbench.planning.padding import Plan
@@ -127,4 +127,4 @@ def _uses_last_arrival(layout: Layout, p: GridPointParams) -> bool:
 
 def _initial_shapes(layout: Layout, p: GridPointParams) -> Run:
     """Return the shapes of a state before tick 0."""
-    return jax.eval_shape(lambda p: begin(layout, p, jnp.asarray(0), (), jnp.zeros(2 * p.x0.shape[0]), ()), p)
+    return jax.eval_shape(lambda p: initial_run(layout, p, jnp.asarray(0), (), jnp.zeros(2 * p.x0.shape[0]), ()), p)

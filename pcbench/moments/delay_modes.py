@@ -53,7 +53,7 @@ class Chain(NamedTuple):
     transition: Values  # [m, m] transition matrix
 
 
-def over_modes(p: Plan) -> list[Realisation] | None:
+def realisations_over_modes(p: Plan) -> list[Realisation] | None:
     """Return a grid point of one observer in each of its modes; None if its schedules are averaged or not random."""
     clock, ticks = p.cell.times.clocks[0], p.cell.times.ticks
     if not only_delays_random(p):

@@ -1,7 +1,8 @@
 """Inputs of a program of exact moments: parameters and schedules of many grid points of one shape, and their initial state.
 
 Arrays common to a batch are stored once. Small arrays that may differ are stored per grid point, [..., C]. Grid points whose
-tables differ are in different batches. `begin` returns the joint state before tick 0 as a function of the random initial state.
+tables differ are in different batches. `initial_run` returns the joint state before tick 0 as a function of the random initial
+state.
 """
 
 import itertools
@@ -158,7 +159,7 @@ def stack_inputs(
     )
 
 
-def begin(layout: Layout, p: GridPointParams, k: Array, state: PyTree, draws: Array, inputs: PyTree) -> Run:
+def initial_run(layout: Layout, p: GridPointParams, k: Array, state: PyTree, draws: Array, inputs: PyTree) -> Run:
     """Return the state before tick 0 of one grid point; draws [2 n], of mean 0 and variance 1, for plant and estimate."""
     n = p.x0.shape[0]
     x = p.x0 + p.spread0 @ draws[:n] if layout.random_initial_state else jnp.asarray(p.x0) * 1.0

@@ -60,7 +60,7 @@ def by_shapes(f: Callable[[Layout, GridPointParams], Result]) -> Callable[[Layou
 @by_shapes
 def form_of(layout: Layout, p: GridPointParams) -> Form:
     """Return which parts of a state noise reaches."""
-    start = jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    start = jax.eval_shape(partial(initial_state.initial_lanes, layout), p, jnp.asarray(0), jnp.zeros(1, int))
     # the parts that moments use
     part = start._replace(plant_draws=(), flight=(), streams={}, watches={}, tracking=(), effort=())
     leaves = jax.tree.leaves(part, is_leaf=is_lanes)  # those that differ between runs are LaneArrays

@@ -26,7 +26,7 @@ from jaxtyping import PyTree
 from pcbench.moments import error_sums
 from pcbench.moments.error_sums import RunSignals, Sums, TickValues
 from pcbench.moments.events import Batch, BatchState, Shape, apply_events, make_batch, sense, take_samples
-from pcbench.moments.inputs import SCALES, MomentInputs, Numbers, begin
+from pcbench.moments.inputs import SCALES, MomentInputs, Numbers, initial_run
 from pcbench.moments.noise_state import (
     Form,
     is_constant,
@@ -109,7 +109,7 @@ def initial_propagation(batch: Batch) -> PropagationState:
     cells, zero, form = shape.cells, jnp.asarray(0), shape.form
     n, q, n_scales = p.x0.shape[0], batch.std.shape[0], len(SCALES)
     draws = jnp.broadcast_to(batch_inputs.start[:, :, None], (n_scales, 2 * n, cells))
-    start = partial(begin, layout)
+    start = partial(initial_run, layout)
     starts = jnp.concatenate([jnp.zeros_like(draws[:1]), draws])
     runs = jax.vmap(lambda e: batch.map_cells(start)(zero, (), e, ()))(starts)
 

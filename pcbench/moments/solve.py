@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcbench.engine import runner
 from pcbench.moments.affinity import ROUNDING, is_curved, plant_curvature, refusal_beforehand
-from pcbench.moments.delay_modes import over_modes
+from pcbench.moments.delay_modes import realisations_over_modes
 from pcbench.moments.error_sums import Sums, relative_deviation, zero_sums
 from pcbench.moments.inputs import Numbers, batch_key
 from pcbench.moments.nees import FinalErrors
@@ -155,7 +155,7 @@ def _realisations(p: Plan, request: MomentRequest, unmergeable: set[Hashable]) -
     There is one realisation, one per mode, or one per drawn schedule. A trial has only the first drawn schedule.
     """
     is_single = len(p.layout.observers) == 1
-    if is_single and _kind(p) not in unmergeable and (modes := over_modes(p)):
+    if is_single and _kind(p) not in unmergeable and (modes := realisations_over_modes(p)):
         return modes, False, True
     if is_single and only_losses_random(p) and (realisation := realisation_over_losses(p)):
         return [realisation], False, False

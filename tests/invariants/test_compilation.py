@@ -93,7 +93,9 @@ def test_lanes_differ_only_where_they_must():
 
     _, (cell,) = planned()
     layout = cell.layout._replace(width=4)
-    state = jax.eval_shape(lambda p: initial_state.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
+    state = jax.eval_shape(
+        lambda p: initial_state.initial_lanes(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem
+    )
     assert not lane_array.is_lanes(state.x)
     assert not lane_array.is_lanes(state.memories["pccebo"].g)
     assert not lane_array.is_lanes(state.memories["model-only"])

@@ -9,7 +9,7 @@ from reference import delays, irregular, linear, moments
 import pcbench
 from pcbench import planning
 from pcbench.moments import delay_modes, events
-from pcbench.moments.delay_modes import over_modes
+from pcbench.moments.delay_modes import realisations_over_modes
 from pcbench.moments.inputs import Mix
 from pcbench.moments.realisations import Mode, realisation_over_losses
 from pcbench.simulation.schedule import common_times, random_times
@@ -117,7 +117,7 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
     monkeypatch.setattr(delay_modes, "MOST_MODES", 5000)
     p = plan(**SHAPES[shape])
     clock = p.cell.times.clocks[0]
-    chain, each = delay_modes._chain(clock), over_modes(p)
+    chain, each = delay_modes._chain(clock), realisations_over_modes(p)
     length = round(np.log(len(each)) / np.log(len(chain.delays)))
     for seed in range(3):
         drawn = [s for s in random_times.draw_samples([clock], N, 2, 5, seed) if s.channel == 0]
@@ -141,7 +141,7 @@ def test_in_each_interval_a_mode_has_what_every_run_with_these_delays_has(shape,
 @pytest.mark.parametrize("shape", list(SHAPES))
 def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
     monkeypatch.setattr(delay_modes, "MOST_MODES", 5000)
-    each = [one.mode for one in over_modes(plan(**SHAPES[shape]))]
+    each = [one.mode for one in realisations_over_modes(plan(**SHAPES[shape]))]
     share, W = np.array([mode.probability for mode in each]), np.zeros((len(each), len(each)))
     for mode in each:
         W[mode.number, list(mode.source)] = mode.weight
@@ -152,7 +152,7 @@ def test_modes_are_as_often_there_after_a_sample_as_before(shape, monkeypatch):
 
 def test_what_cannot_be_is_no_mode():
     """A chain that never has the same value twice: of four pairs two are left, each from the other."""
-    each = over_modes(plan(delay_self_transition=0.0, delay_values=[0.0, 0.1]))
+    each = realisations_over_modes(plan(delay_self_transition=0.0, delay_values=[0.0, 0.1]))
     assert [(one.mode.probability, one.mode.source) for one in each] == [(0.5, (1,)), (0.5, (0,))]
 
 
@@ -168,8 +168,8 @@ NOT = {
 @pytest.mark.ci
 @pytest.mark.parametrize("why", list(NOT))
 def test_what_is_random_besides_or_has_many_modes_is_averaged_over_schedules(why):
-    assert over_modes(plan()) is not None
-    assert over_modes(plan(**NOT[why])) is None
+    assert realisations_over_modes(plan()) is not None
+    assert realisations_over_modes(plan(**NOT[why])) is None
 
 
 def test_modes_of_several_cells_take_over_each_in_their_own():
@@ -256,7 +256,7 @@ def test_who_remembers_every_delay_there_was_is_averaged_over_schedules(tmp_path
 def test_who_asks_when_the_last_arrival_was_has_modes_that_say_so(tmp_path):
     for share, length in (("0.3", 1), ("0.3 + 0.01 * arrival.ticks_since_arrival", 2)):
         (p,) = planning.plan(parse.parse(own(tmp_path, share), "own"))
-        each = over_modes(p)
+        each = realisations_over_modes(p)
         assert len(each) == 2**length
         for one in each:
             assert jax.tree.structure(one.problem) == jax.tree.structure(each[0].problem)
