@@ -139,5 +139,5 @@ def _broadcast(layout: Layout, p: GridPointParams, state: State, tick_noise: ste
     forms = lane_forms.fixed_point(step, event_forms[:n_leaves])
     is_long = [len(x.shape) > 0 and x.shape[0] >= lane_forms.TABLE_ROWS for x in leaves]
     forms = [lane_array.TABLE if form and long else form for form, long in zip(forms, is_long, strict=True)]
-    wide = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
-    return jax.tree.unflatten(tree, wide)
+    state_leaves = (lane_array.to_form(x, form, width) for x, form in zip(leaves, forms, strict=True))
+    return jax.tree.unflatten(tree, state_leaves)

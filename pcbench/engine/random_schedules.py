@@ -113,8 +113,8 @@ def prepare(layout: Layout, p: GridPointParams, root_seed: Array, seeds: Array) 
         first_snapshots=snapshot(layout, p, zero, state),
     )
     n_early = (snapshots.time < 0).sum()  # assumed to be from before tick 0: the snapshot is that of the initial state
-    rings = _rings(layout, state.flight.values), _rings(layout, events.first_snapshots)
-    flight = Flight(*rings, Progress(zero, n_early, zero))
+    packet_rings = _rings(layout, state.flight.values), _rings(layout, events.first_snapshots)
+    flight = Flight(*packet_rings, Progress(zero, n_early, zero))
     return events, state._replace(memories=events.memory_packing.pack(state.memories), flight=flight)
 
 

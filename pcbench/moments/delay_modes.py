@@ -128,10 +128,11 @@ def _length(clock: Clock, chain: Chain, ticks: int, last_arrival: bool) -> int:
     nominal = instants[1:] if clock.delay is None else instants[:-1] + clock.delay
     first, last, instants = nominal + min(chain.delays), nominal + max(chain.delays), instants[:-1]
     M = len(instants)
-    back = next(n for n in range(1, M + 1) if (last[: M - n] < instants[n:]).all())
+    length = next(n for n in range(1, M + 1) if (last[: M - n] < instants[n:]).all())
     if not last_arrival:
-        return back
-    return next(n for n in range(back + 1, M + back + 1) if (first[n - back :][: M - n] >= last[: M - n]).all())
+        return length
+    longer = range(length + 1, M + length + 1)
+    return next(n for n in longer if (first[n - length :][: M - n] >= last[: M - n]).all())
 
 
 def _mode_probability(chain: Chain, mode: tuple[int, ...]) -> float:

@@ -89,37 +89,37 @@ def add_tick(s: Sums, values: TickValues, counts: Array, weights: Weights | tupl
     square = c[:, 0] if c.shape[1] == 1 else jnp.einsum("vvc->vc", c)
     Z = mean.shape[0]
     variance = square[:Z]
-    deviation, large = (
+    deviation, largest = (
         jnp.where(counts[0], reduce(jnp.maximum, jnp.abs(a)), 0.0)
         for a in (runs[1:] - (mean[None] + values.shifts[:, :Z]), runs)
     )
-    size = jnp.maximum(s.size, large)
+    size = jnp.maximum(s.size, largest)
     std = _std(variance, size)
     s = s._replace(
-        square=_over(counts, s.square, mean * mean + variance),
-        absolute=_over(counts, s.absolute, mean_size(mean, std)),
+        square=_add(counts, s.square, mean * mean + variance),
+        absolute=_add(counts, s.absolute, mean_size(mean, std)),
         mean=jnp.where(counts[0], mean, s.mean),
         std=jnp.where(counts[0], std, s.std),
         reach=jnp.maximum(s.reach, jnp.where(counts[0], jnp.abs(mean) + FAR * std, 0.0)),
         deviation=jnp.maximum(s.deviation, deviation),
         size=size,
     )
-    off, x, u = (a[0] for a in values.runs[1:])
+    tracking, x, u = (a[0] for a in values.runs[1:])
     if not len(x):
         return s
-    first = Z + len(off)
+    first = Z + len(tracking)
     n = first + len(x)
     if isinstance(weights, Weights) and weights.Q1.size:
         cost = _expected_square(weights.Q1, x, weights.x_ref, k, c[first:n, first:n])
         cost = cost + _expected_square(weights.Q2, u, weights.u_ref, k, c[n:, n:])
-        s = s._replace(cost=_over(counts, s.cost, cost))
+        s = s._replace(cost=_add(counts, s.cost, cost))
     return s._replace(
-        tracking=_over(counts, s.tracking, off * off + square[Z:first]),
-        input=_over(counts, s.input, reduce(operator.add, u * u + square[n:])),
+        tracking=_add(counts, s.tracking, tracking * tracking + square[Z:first]),
+        input=_add(counts, s.input, reduce(operator.add, u * u + square[n:])),
     )
 
 
-def _over(counts: Array, sums: Numbers, numbers: Array) -> Numbers:
+def _add(counts: Array, sums: Numbers, numbers: Array) -> Numbers:
     """Return sums [2, ...] plus the numbers [...] of a tick where it counts; other numbers may be anything."""
     return sums + jnp.where(counts.reshape(2, *(1 for _ in numbers.shape)), numbers[None], 0.0)
 

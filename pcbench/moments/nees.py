@@ -39,8 +39,8 @@ def squares(errors: FinalErrors) -> Squares:
     second = errors.covariance + errors.mean[:, None] * errors.mean[None]
     nees, ranks = [], []
     for s in range(errors.P.shape[-1]):
-        counts = _counts(errors)[:, s]
-        block = np.ix_(counts, counts)
+        is_uncertain = _is_uncertain(errors)[:, s]
+        block = np.ix_(is_uncertain, is_uncertain)
         trace, rank = _normalized_trace(errors.P[..., s][block], second[..., s][block])
         ranks.append(rank)
         nees.append(trace / rank if rank else np.nan)
@@ -68,12 +68,12 @@ def inside(errors: FinalErrors) -> list[Values]:
     return [np.where(std > 0, high - low, noise_free) for (high, low), noise_free in pairs]
 
 
-def _counts(errors: FinalErrors) -> np.ndarray:
+def _is_uncertain(errors: FinalErrors) -> np.ndarray:
     return _diagonal(errors.P) > np.square(KNOWN_TOL * errors.prior)[:, None]
 
 
 def _variances(errors: FinalErrors) -> Values:
-    return np.where(_counts(errors), _diagonal(errors.P), np.nan)
+    return np.where(_is_uncertain(errors), _diagonal(errors.P), np.nan)
 
 
 def _diagonal(P: Values) -> Values:

@@ -90,10 +90,10 @@ def vectors(form: Form, runs: Run) -> Array:
 def with_vector(form: Form, state: Run, z: Array) -> Run:
     """Return the state with another vector."""
     leaves, tree = jax.tree.flatten(state)
-    at, out = 0, []
+    first, out = 0, []
     for a, is_noisy in zip(leaves, form.noisy, strict=True):
-        out.append(z[at : at + a.size].reshape(a.shape) if is_noisy else a)
-        at += a.size if is_noisy else 0
+        out.append(z[first : first + a.size].reshape(a.shape) if is_noisy else a)
+        first += a.size if is_noisy else 0
     return jax.tree.unflatten(tree, out)
 
 

@@ -12,12 +12,12 @@ from pcbench.moments.error_sums import Sums
 from pcbench.moments.events import Shape
 from pcbench.moments.inputs import MomentInputs, is_per_cell, stack_inputs
 from pcbench.moments.noise_state import MOST_ENTRYWISE, form_of
-from pcbench.moments.propagate import Last, MomentRecord, Outcome, run
+from pcbench.moments.propagate import FinalCovariances, MomentRecord, Outcome, run
 from pcbench.moments.realisations import Realisation
 from pcbench.runtime import program_cache, program_store
 from pcbench.simulation.schedule import common_times
 
-RESULT_TYPES = (Outcome, Sums, MomentRecord, Last)  # types of a program's results
+RESULT_TYPES = (Outcome, Sums, MomentRecord, FinalCovariances)  # types of a program's results
 FEW, SOME, MANY = 8, 64, 128  # grid points per call; with the cart, one costs four fifths with 128 of its cost with 64
 
 

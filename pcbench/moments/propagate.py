@@ -52,7 +52,7 @@ class MomentRecord(NamedTuple):
     covariance: Numbers  # [T, Z, Z, C], or variances [T, Z, 1, C]
 
 
-class Last(NamedTuple):
+class FinalCovariances(NamedTuple):
     """Tick N - 1: the true moments of the errors, and the covariances that observers assume."""
 
     covariance: Numbers  # [Z, Z, C]
@@ -67,7 +67,7 @@ class PropagationState(NamedTuple):
     probe: Array | tuple[()]  # [A + V, C] of the matrix with fixed numbers; (): the matrix is constant
     sums: Sums
     rows: MomentRecord | tuple[()]
-    last: Last | tuple[()]  # if the layout has consistency
+    final: FinalCovariances | tuple[()]  # if the layout has consistency
 
 
 class Outcome(NamedTuple):
@@ -75,7 +75,7 @@ class Outcome(NamedTuple):
 
     sums: Sums
     rows: MomentRecord | tuple[()]  # (): nothing recorded
-    last: Last | tuple[()] = ()
+    final: FinalCovariances | tuple[()] = ()
     mode_difference: Numbers | tuple[()] = ()  # [C] of modes, as in `events.BatchState`
     # [2, n, C] of the final state: its size, and its deviation without the effect of the initial state
     final_state: Array | tuple[()] = ()
@@ -84,23 +84,24 @@ class Outcome(NamedTuple):
 def run(layout: Layout, shape: Shape, inputs: MomentInputs) -> Outcome:
     """Return the moments of a batch of grid points over ticks 0 .. N - 1, or 0 .. N if recorded."""
     batch = make_batch(layout, shape, inputs)
-    plan, end = inputs.schedule, inputs.problem.windows[-1, 1]
+    schedule, end = inputs.schedule, inputs.problem.windows[-1, 1]
     stop = end + 1 if shape.record else end
 
-    def segment(at: tuple[Array, PropagationState]) -> tuple[Array, PropagationState]:
-        number, c = at
-        k, event = plan.ticks[number], jax.tree.map(lambda a: a[number], plan.events)
+    def segment(carry: tuple[Array, PropagationState]) -> tuple[Array, PropagationState]:
+        number, c = carry
+        k, event = schedule.ticks[number], jax.tree.map(lambda a: a[number], schedule.events)
         c = c._replace(state=apply_events(batch, k, event, c.state, inputs.arrivals[k]))
-        stop_tick = jnp.minimum(plan.ticks[number + 1], stop)
-        _, c = lax.while_loop(lambda at: at[0] < stop_tick, lambda at: (at[0] + 1, tick(batch, *at)), (k, c))
+        stop_tick = jnp.minimum(schedule.ticks[number + 1], stop)
+        _, c = lax.while_loop(lambda kc: kc[0] < stop_tick, lambda kc: (kc[0] + 1, tick(batch, *kc)), (k, c))
         return number + 1, c
 
-    _, c = lax.while_loop(lambda at: plan.ticks[at[0]] < stop, segment, (jnp.asarray(0), initial_propagation(batch)))
+    start = jnp.asarray(0), initial_propagation(batch)
+    _, c = lax.while_loop(lambda carry: schedule.ticks[carry[0]] < stop, segment, start)
     size = jnp.max(jnp.abs(c.state.runs.x), 0)  # the state comes first in the vector
     variance = jnp.einsum("ddc->dc", c.state.P)[: len(size)] if shape.form.noisy[0] else jnp.zeros_like(size)
     final_state = jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])
     rows = jax.tree.map(lambda a: a[:-1], c.rows)  # without the place for ticks that are not recorded
-    return Outcome(c.sums, rows, c.last, c.state.mode_difference, final_state)
+    return Outcome(c.sums, rows, c.final, c.state.mode_difference, final_state)
 
 
 def initial_propagation(batch: Batch) -> PropagationState:
@@ -121,7 +122,7 @@ def initial_propagation(batch: Batch) -> PropagationState:
     packet = batch.map_cells(partial(sense, layout))(zero, mean, jnp.zeros((0, cells)), ())
     places, f, A = layout.ring + 1, packet.shape[0], B.shape[0]
     D = A + places * f * form.flight
-    random_columns = [at for at in range(2 * n) if (layout.random_initial_state if at < n else layout.scattered)]
+    random_columns = [i for i in range(2 * n) if (layout.random_initial_state if i < n else layout.scattered)]
     shifts = jnp.concatenate([jnp.sum(B[None] * draws[:, None], 2), jnp.moveaxis(B[:, random_columns], 1, 0)])
     batch_state = BatchState(
         runs=runs,
@@ -146,15 +147,17 @@ def initial_propagation(batch: Batch) -> PropagationState:
     probe = () if is_steady else jnp.full((len(M), cells), jnp.nan)
     Z = len(signals.errors)
     rows: MomentRecord | tuple[()] = ()
-    last: Last | tuple[()] = ()
+    final: FinalCovariances | tuple[()] = ()
     if shape.record:
         T = -(-len(batch_inputs.arrivals) // shape.every) + 1  # one place more for ticks that are not recorded
         rows = MomentRecord(jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.record == COVARIANCE else 1, cells)))
     if layout.consistency:
         covariances = batch.map_cells(partial(_assumed_covariances, layout))
         assumed = jax.eval_shape(covariances, zero, mean, jnp.zeros((0, cells)), ())
-        last = Last(jnp.zeros((Z, Z, cells)), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), assumed))
-    return PropagationState(batch_state, M, probe, error_sums.zero_sums(Z, len(signals.tracking), cells), rows, last)
+        zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), assumed)
+        final = FinalCovariances(jnp.zeros((Z, Z, cells)), zeros)
+    sums = error_sums.zero_sums(Z, len(signals.tracking), cells)
+    return PropagationState(batch_state, M, probe, sums, rows, final)
 
 
 def tick(batch: Batch, k: Array, c: PropagationState) -> PropagationState:
@@ -178,7 +181,7 @@ def tick(batch: Batch, k: Array, c: PropagationState) -> PropagationState:
     if len(P) > A:  # packets in flight do not change
         P = P.at[:A, A:].set(X[:A, A:]).at[A:, :A].set(transpose_cells(X[:A, A:]))
     values = TickValues(signals, covariance, shifts[: len(w), A:])
-    rows, last = c.rows, c.last
+    rows, final = c.rows, c.final
     if rows:
         row = jnp.where(k % shape.every == 0, k // shape.every, len(rows.mean) - 1)
         new = MomentRecord(signals.errors[0], covariance[:Z, : rows.covariance.shape[2]])
@@ -186,16 +189,15 @@ def tick(batch: Batch, k: Array, c: PropagationState) -> PropagationState:
     if layout.consistency:
         no_noise, mean = jnp.zeros((0, shape.cells)), jax.tree.map(lambda a: a[0], state.runs)
         covariances = batch.map_cells(partial(_assumed_covariances, layout))
-        last = lax.cond(
+        final = lax.cond(
             k == p.windows[-1, 1] - 1,
-            lambda: Last(covariance[:Z, :Z], covariances(k, mean, no_noise, ())),
-            lambda: c.last,
+            lambda: FinalCovariances(covariance[:Z, :Z], covariances(k, mean, no_noise, ())),
+            lambda: c.final,
         )
     counts = jnp.stack([k < p.windows[-1, 1], (k < p.windows[-1, 1]) & (k >= p.windows[0, 1])])
     sums = error_sums.add_tick(c.sums, values, counts, p.weights, k)
-    return PropagationState(
-        state._replace(runs=runs, shifts=state.shifts.at[:, :A].set(shifts[:, :A]), P=P), M, probe, sums, rows, last
-    )
+    state = state._replace(runs=runs, shifts=state.shifts.at[:, :A].set(shifts[:, :A]), P=P)
+    return PropagationState(state, M, probe, sums, rows, final)
 
 
 def _flow(

@@ -92,10 +92,12 @@ def realisation_over_losses(p: Plan) -> Realisation | None:
     lossless = common_times.schedule(
         common_times.samples_of([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error
     )
-    one = p.problem._replace(schedule=lossless)
+    problem = p.problem._replace(schedule=lossless)
     layout = p.layout._replace(width=1, watch=False)
-    form, lossy = form_of(layout, one), form_of(layout, p.problem)
-    if (lossy.noisy, lossy.random) != (form.noisy, form.random) or any(form.random) or uses_last_arrival(layout, one):
+    form, lossy = form_of(layout, problem), form_of(layout, p.problem)
+    if (lossy.noisy, lossy.random) != (form.noisy, form.random) or any(form.random):
+        return None
+    if uses_last_arrival(layout, problem):
         return None
     ring = max(layout.ring, common_times.in_flight(lossless))
-    return Realisation(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)
+    return Realisation(layout._replace(ring=ring), problem, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -92,19 +92,19 @@ def plan_cells(cells: list[Cell], joint: bool = False) -> Iterator[Plan]:
     They have one of two ring sizes, for few programs. If noise reaches packets in flight, the ring has the size that the grid
     point needs, as the covariance covers the whole ring.
     """
-    room_of = cache(random_times.room)
+    packets_of = cache(random_times.room)
 
     def ring(cell: Cell) -> int:  # an upper limit of the packets in flight, for any draws
-        return room_of(tuple(cell.times.clocks), cell.times.ticks, cell.times.error)
+        return packets_of(tuple(cell.times.clocks), cell.times.ticks, cell.times.error)
 
     most = max(map(ring, cells))
     least = PACKETS if len(cells) > WINDOW else most  # with this many grid points another program pays off
     for p in padding.check_drafts(drafts(cells)):
-        room, packets = padding.capacity_of(p), ring(p.cell)
-        plan = padding.fit_to_capacity(p, room)  # a closed loop gets its controller's parameters here
+        capacity, packets = padding.capacity_of(p), ring(p.cell)
+        plan = padding.fit_to_capacity(p, capacity)  # a closed loop gets its controller's parameters here
         layout = plan.layout
         places = power_of_2(packets if _noise_in_flight(plan) else most if packets > least else min(most, least))
-        layout = layout._replace(ring=max(room.ring, places))
+        layout = layout._replace(ring=max(capacity.ring, places))
         if joint:
             yield plan._replace(layout=layout)
             continue
@@ -247,10 +247,10 @@ def _gather(work: Work, outcomes: list[Outcome]) -> CellMoments:
         signals[labels[name]] = slice(first, first + count)
         first += count
     n, final_errors = len(p.problem.x0), {}
-    if outcome.last:
-        for name, P in outcome.last.assumed.items():
+    if outcome.final:
+        for name, P in outcome.final.assumed.items():
             states = slice(signals[labels[name]].start, signals[labels[name]].start + n)
-            true = np.asarray(outcome.sums.mean[states]), np.asarray(outcome.last.covariance[states, states])
+            true = np.asarray(outcome.sums.mean[states]), np.asarray(outcome.final.covariance[states, states])
             final_errors[labels[name]] = FinalErrors(*true, np.asarray(P[:n, :n]), np.diagonal(p.problem.spread0))
     total = outcome if mode_probabilities is None else _average_modes(outcome, mode_probabilities)
     return CellMoments(
