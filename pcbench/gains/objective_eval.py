@@ -19,7 +19,7 @@ from pcbench.gains import optimizers
 from pcbench.gains.history import Judgement
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
-from pcbench.moments import gradients, stats_rows
+from pcbench.moments import affinity, gradients, stats_rows
 from pcbench.moments.exactness import refusal
 from pcbench.moments.realisations import Realisation
 from pcbench.planning import run_local
@@ -34,7 +34,7 @@ SQUARES = {"mse": ("square", 0), "steady_mse": ("square", 1)}
 SIZES = {"mae": ("absolute", 0), "steady_mae": ("absolute", 1)}
 SUMS = SQUARES | SIZES  # field of `moments.error_sums`, and index: 0 over the horizon, 1 over the steady part
 EXACT_METRICS = (*SUMS, *POOLED)
-ADVICE = "leave exact out, and it is tuned on runs"
+ADVICE = "tune on runs instead (exact_objective = false)"
 
 
 def check_estimates(p: Plan, aim: Objective, where: str) -> None:
@@ -114,6 +114,8 @@ def require_exact_value(aim: Objective, where: str) -> None:
 def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     """Return the realisation of the cell for exact moments; raise UserError if its objective has no exact value."""
     require_exact_value(aim, where)
+    if reason := affinity.refusal_beforehand(p):
+        raise UserError(f"{where}: exact: {p.labels[0]} {reason}; {ADVICE}.")
     realisation = gradients.single_realisation(p)
     if realisation is None:
         raise UserError(

@@ -136,17 +136,24 @@ def test_what_has_no_exact_value_says_so_and_what_to_do():
     assert "steady_max_abs_error, which has no exact value" in refused(
         "cart/slow", "pccebo", objective="steady_max_abs_error"
     )
+    assert "kf has samples of which 10 % are outliers, whose noise is not normal; tune on runs instead" in refused(
+        "cart/gaussian", "kf", overrides=["axes.outlier_probability=0.1"]
+    )
+    assert "particle keeps 1,802 numbers, where exact moments follow the covariance of at most 1,024" in refused(
+        "cart/gaussian", "particle"
+    )
     assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training_seeds=(0, 8))
     random = refused("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
     assert random.endswith("expected the same for all runs, as a gradient is for one schedule; "
-                           "leave exact out, and it is tuned on runs.")  # fmt: skip
+                           "tune on runs instead (exact_objective = false).")  # fmt: skip
 
 
 def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
     with config.float64():
         _, cell = parse.one_cell(OWN, ["model-only"], [])
         (p,) = padding.fit(list(planning.drafts([cell])))
-    boxed = p._replace(layout=p.layout._replace(scattered=True))
+    scatter = np.full(len(p.problem.x0), 0.1)
+    boxed = p._replace(layout=p.layout._replace(scattered=True), problem=p.problem._replace(scatter=scatter))
     objective_eval.exact_cell(objective_of("mse", cell.scenario, None, "test"), boxed, "test")
     with pytest.raises(UserError, match="got steady_mae of an error that is not normal"):
         objective_eval.exact_cell(objective_of("steady_mae", cell.scenario, None, "test"), boxed, "test")
@@ -157,7 +164,7 @@ def test_an_observer_that_is_not_affine_is_tuned_on_runs():
     steps = {"options": {"follow_by_steps": {"L": 0.1}}}
     said = refused(OWN | steps, f"{Path(follower.__file__)}:follow_by_steps")
     assert "follow_by_steps is not affine in the noise: a is off by" in said
-    assert said.endswith("leave exact out, and it is tuned on runs.")
+    assert said.endswith("tune on runs instead (exact_objective = false).")
 
 
 @pytest.mark.nightly
