@@ -73,14 +73,14 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
         assert len(tasks) == many
         assert len(made) == 2 * many - len(plan.first_drafts)
         if room == 2**30:
-            assert plan.cells == len(study["axes"]["noise_std"])
+            assert plan.n_cells == len(study["axes"]["noise_std"])
             leaves = [jax.tree.leaves(p.problem) for p in plan.first_drafts]
-            first = {id(a): a for p in leaves[: many // plan.cells] for a in p}
+            first = {id(a): a for p in leaves[: many // plan.n_cells] for a in p}
             size = sum(getattr(a, "nbytes", 0) + 200 for a in first.values())
         found[room] = sorted([np.asarray(a).tobytes() for a in jax.tree.leaves(t.parcel.problem)] for t in tasks)
         programs = [key for key, _ in groupby(padding.key_of(t.parcel) for t in tasks)]
         assert room != 2**30 or len(programs) == len(set(programs)), "the tasks of one program come together"
-    assert plan.cells == 1
+    assert plan.n_cells == 1
     assert len({str(each) for each in found.values()}) == 1
 
 
