@@ -223,14 +223,14 @@ def test_a_design_may_refuse_a_schedule_but_not_all():
 
 @pytest.mark.ci
 def test_a_shifted_packet_is_another_measurement():
-    """What is added to a packet, to its values or its notes, shows from the tick on at which it arrives, and not before."""
+    """What is added to a packet, to its values or its snapshots, shows from the tick on at which it arrives, and not before."""
     entry = OBSERVERS["pccebo"]
     t = trial(Candidate("pccebo", entry, entry.options()), SCENARIOS["cart/white"])
     p, number, step = next(case for case in t.cases if case.name == "one period late").problem, 2, 0.25
     nothing = no_shift(p)
     plain = record(t, p, nothing).estimates["pccebo"]
     arrives = int(np.flatnonzero((p.schedule.arrive == number).any(1))[0])
-    for field in ("values", "notes"):
+    for field in ("values", "snapshots"):
         shift = nothing._replace(**{field: getattr(nothing, field).at[number].set(step)})
         moved = np.abs(record(t, p, shift).estimates["pccebo"] - plain).max(1)
         assert np.flatnonzero(moved)[0] == arrives, field
