@@ -15,6 +15,8 @@ from pcbench.study import STUDIES, parse
 
 BY_A_PAGE = {study: page for page in AS_USERS_HAVE_IT for study in run_by(page)}  # in programs as a user has them too
 
+HEAVY = ("camera-target", "digester", "equal-tuning-reactor")  # programs compiled in a hurry take longer here
+
 
 def short(name):
     return with_options(SHORT.get(name, []), {} if STUDIES[name].evaluation == "exact" else {"--seeds": "2"})
@@ -44,8 +46,14 @@ def test_a_page_runs_no_less_of_a_study_than_its_short_form(name):
     assert STUDIES[name].evaluation == "exact" or int(made[made.index("--seeds") + 1]) >= 2
 
 
-@pytest.mark.ci
-@pytest.mark.parametrize("name", [name for name in STUDIES if name not in BY_A_PAGE])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in HEAVY else pytest.mark.ci)
+        for name in STUDIES
+        if name not in BY_A_PAGE
+    ],
+)
 def test_it_runs(name, tmp_path):
     """The others run where a page of the guide does (test_guide_commands)."""
     words = [sys.executable, "-m", "pcbench", "run", name, *short(name), "--quiet", "--out", str(tmp_path / "out")]

@@ -35,6 +35,8 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
         *axes(sampling_period=[0.2], delay=[0.03], noise_std=[2e-2], parameter_drift=[0.0, 0.3]),
     ],
     "delayed-measurements": ["--seeds", "2"],
+    "camera-target": ["--seeds", "2", *axes(delay=[[0.1, 0.0]])],
+    "digester": ["--seeds", "2", *axes(delay=[[0.0] * 3 + [25200.0] * 3])],
     "period-delay-map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
     "processor": ["--seeds", "2", *axes(processor_speed=[2e4, 1e6])],
     "reactor": ["--seeds", "2"],
