@@ -15,7 +15,11 @@ from pcbench.study import STUDIES, parse
 
 BY_A_PAGE = {study: page for page in AS_USERS_HAVE_IT for study in run_by(page)}  # in programs as a user has them too
 
-HEAVY = ("camera-target", "digester", "equal-tuning-reactor")  # programs compiled in a hurry take longer here
+HEAVY = {  # programs compiled in a hurry take longer here
+    "camera-target": pytest.mark.slow,
+    "digester": pytest.mark.slow,
+    "equal-tuning-reactor": pytest.mark.nightly,
+}
 
 
 def short(name):
@@ -48,11 +52,7 @@ def test_a_page_runs_no_less_of_a_study_than_its_short_form(name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in HEAVY else pytest.mark.ci)
-        for name in STUDIES
-        if name not in BY_A_PAGE
-    ],
+    [pytest.param(name, marks=HEAVY.get(name, pytest.mark.ci)) for name in STUDIES if name not in BY_A_PAGE],
 )
 def test_it_runs(name, tmp_path):
     """The others run where a page of the guide does (test_guide_commands)."""
