@@ -103,7 +103,7 @@ def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
     pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
 
 
-@pytest.mark.ci
+@pytest.mark.nightly
 @pytest.mark.usefixtures("as_users_have_it")
 def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
     study = RANDOM | {"observers": ["ukf", "particle"], "options": RANDOM["options"] | {"particle": {"particles": 20}}}

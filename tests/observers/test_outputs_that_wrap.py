@@ -52,7 +52,7 @@ def study(plant, observers, **given):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("plant", ["with_residual", "upside_down"])
+@pytest.mark.parametrize("plant", ["with_residual", pytest.param("upside_down", marks=pytest.mark.nightly)])
 def test_filters_turn_with_an_angle_that_wraps(plant):
     runs = pcbench.run(study(plant, FILTERS)).runs
     angle = runs[runs.signal == "angle"] if "signal" in runs else runs
@@ -72,7 +72,7 @@ def test_a_residual_that_is_the_difference_changes_nothing():
     np.testing.assert_allclose(a.rmse, b.rmse, rtol=0, atol=1e-12)
 
 
-@pytest.mark.ci
+@pytest.mark.nightly
 def test_it_is_judged_where_the_noise_of_outputs_is_assumed_to_be_correlated():
     full = {"R": [[0.0025, 0.001], [0.001, 0.0025]]}
     runs = pcbench.run(study("with_residual", FILTERS) | {"options": dict.fromkeys(FILTERS, full)}).runs

@@ -66,7 +66,7 @@ def test_kf_equals_ekf_where_the_plant_grows_by_e_60(changes):
     np.testing.assert_allclose(estimates("kf", 20.0, **changes), estimates("ekf", 20.0, **changes), rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_consistency_is_that_of_ekf_where_the_plant_grows_by_e_60():
     """NIS and NEES use the innovations and the covariance, which need the response too."""
     got = {}

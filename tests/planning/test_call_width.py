@@ -24,7 +24,11 @@ def test_width_is_fixed_for_sums_over_points_only():
 @pytest.mark.slow
 @pytest.mark.usefixtures("as_users_have_it")
 @pytest.mark.parametrize(
-    "observer", ["ukf", "ekf-iterated", "ekf", "ekf-delay", "kf", "kf-cloning", "oosm-lag", "particle"]
+    "observer",
+    [
+        *("ukf", "ekf", "kf", "particle"),
+        *(pytest.param(o, marks=pytest.mark.nightly) for o in ("ekf-iterated", "ekf-delay", "kf-cloning", "oosm-lag")),
+    ],
 )
 def test_a_run_has_the_same_bits_among_16_and_128_others(observer):
     options = {"particle": {"particles": 8}} if observer == "particle" else {}

@@ -252,7 +252,7 @@ def coverage(folder, seeds):
     return sum(held), max(errors)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_delay_is_found_to_10_ms_in_20_recordings_and_18_intervals_hold_it(tmp_path):
     held, error = coverage(tmp_path, range(10, 30))
     assert error < 0.01

@@ -138,7 +138,7 @@ def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
     assert len(page.page(result).encode()) < 1.2e6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_of_many_scenarios_and_observers_is_small():
     text = page.page(pcbench.run("model-mismatch", seeds=4))
     assert len(text.encode()) < 1.2e6
