@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from pcbench.errors import UserError, describe_exception
+from pcbench.errors import UserError
 from pcbench.protocols import Controller, Now, Params
+from pcbench.simulation.shape_checks import trace_shapes
 
 
 class Sizes(NamedTuple):
@@ -35,14 +36,9 @@ def _check(label: str, law: Controller, params: Params, sizes: Sizes, length: in
     tick, estimate = jnp.asarray(1), jax.ShapeDtypeStruct((length,), float)
 
     def shapes_of(name: str, f: Any, *args: PyTree) -> PyTree:
-        try:
-            return jax.eval_shape(f, params, *args)
-        except Exception as error:
-            raise UserError(
-                f"controller {label}: {name} cannot be traced with an estimate of {length} "
-                f"({describe_exception(error)}); expected pure "
-                "jax.numpy code for one run that accepts estimates with further signals after the states."
-            ) from error
+        advice = "for one run that accepts estimates with further signals after the states"
+        problem = f"controller {label}: {name} cannot be traced with an estimate of {length}"
+        return trace_shapes(problem, advice, f, params, *args)
 
     def command(params: Params, xhat: PyTree, *memory: PyTree) -> PyTree:
         now = Now(tick * 1.0, tick, jnp.asarray(1.0), jnp.zeros(sizes.m), lambda age: jnp.zeros(sizes.m))

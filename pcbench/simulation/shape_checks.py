@@ -1,5 +1,6 @@
 """Check the shapes that an observer's functions return, before anything is compiled or simulated."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -10,6 +11,14 @@ from jaxtyping import PyTree
 from pcbench.errors import UserError, describe_exception
 from pcbench.protocols import Arrival, Memory, Observer
 from pcbench.simulation.types import GridPointParams, present
+
+
+def trace_shapes(problem: str, advice: str, f: Callable[..., PyTree], *args: PyTree) -> PyTree:
+    """Return the shapes that f returns; raise UserError with `problem`, the exception and `advice` if it cannot be traced."""
+    try:
+        return jax.eval_shape(f, *args)
+    except Exception as error:
+        raise UserError(f"{problem} ({describe_exception(error)}); expected pure jax.numpy code {advice}.") from error
 
 
 def check(label: str, observer: Observer, p: GridPointParams, continuous: bool = False) -> None:
@@ -33,13 +42,8 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         return at_event
 
     def shapes_of(name: str, f: Any, *args: PyTree) -> PyTree:
-        try:
-            return jax.eval_shape(f, p, *args)
-        except Exception as error:
-            raise UserError(
-                f"observer {label}: {name} cannot be traced ({describe_exception(error)}); expected pure jax.numpy code "
-                "for one run, with jnp.where instead of if."
-            ) from error
+        advice = "for one run, with jnp.where instead of if"
+        return trace_shapes(f"observer {label}: {name} cannot be traced", advice, f, p, *args)
 
     memory = shapes_of("init", lambda p, x: observer.init(p.gains[label], x), state)
     snapshot = shapes_of("snapshot", lambda p, m: jnp.asarray(observer.snapshot(p.gains[label], m, at_jump(p))), memory)
