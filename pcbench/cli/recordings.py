@@ -175,7 +175,7 @@ def replay(
     if as_json:
         print(to_json(result.summary | {"out": folder}))
         return
-    say(*result.summary["said"])
+    say(*result.summary["notes"])
     if quiet:
         print(folder)
     else:

@@ -28,8 +28,8 @@ from pcbench.protocols import Observer
 from pcbench.study.plugins import user_code
 from pcbench.synthesis.certificate import Design, DesignContext, no_certificate
 
-ONE_AT_A_TIME = "guest: one run at a time"
-REFERENCE = "pcbench.external.entry:GUEST"  # its reference in a study
+ONE_AT_A_TIME = "external: one run at a time"
+REFERENCE = "pcbench.external.entry:EXTERNAL"  # its reference in a study
 
 
 class Options(BaseModel):
@@ -43,7 +43,7 @@ def design(context: DesignContext, options: Options) -> Design:
     return Design((), no_certificate(ONE_AT_A_TIME))
 
 
-GUEST = ObserverSpec(
+EXTERNAL = ObserverSpec(
     observer=Observer(
         init=lambda gains, xhat0: xhat0,
         snapshot=lambda gains, memory, now: jnp.zeros(0),

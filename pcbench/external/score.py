@@ -56,7 +56,7 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         raise UserError(
             f"{folder}: holds no draws, expected a folder that pcbench external prepare wrote; name that one."
         )
-    with tempfile.TemporaryDirectory(prefix="pcbench-guest-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="pcbench-external-") as temporary:
         out = f"{temporary}/estimates.parquet"
         progress.note("running the external estimator, one run at a time")
         command = [sys.executable, "-m", "pcbench.external.entry", str(folder), reference, out]

@@ -104,7 +104,7 @@ def by_channel(
         if any(sums.samples for sums in each) or not total.samples:
             for name, n_arrived, sums in zip(channels, arrived.tolist(), each, strict=True):
                 results = results_of(sums)
-                row = {"observer": observer, "channel": name, "not_judged": n_arrived - sums.samples}
+                row = {"observer": observer, "channel": name, "skipped": n_arrived - sums.samples}
                 rows.append(row | {key: results[key] for key in keys})
     return rows
 
@@ -128,9 +128,9 @@ def describe_skipped(rows: list[dict[str, Any]]) -> list[str]:
     out = []
     for observer in dict.fromkeys(row["observer"] for row in rows):
         observer_rows = [row for row in rows if row["observer"] == observer]
-        n_skipped, n_tested = (sum(row[key] for row in observer_rows) for key in ("not_judged", "samples"))
-        partial_rows = [row for row in observer_rows if row["not_judged"]]
-        of = [f"{row['not_judged'] if row['samples'] else 'all'} of {row['channel']}" for row in partial_rows]
+        n_skipped, n_tested = (sum(row[key] for row in observer_rows) for key in ("skipped", "samples"))
+        partial_rows = [row for row in observer_rows if row["skipped"]]
+        of = [f"{row['skipped'] if row['samples'] else 'all'} of {row['channel']}" for row in partial_rows]
         if n_skipped:
             out.append(
                 f"{observer} reports no innovation for {n_skipped:,} of {n_skipped + n_tested:,} samples, which are not "

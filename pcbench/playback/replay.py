@@ -118,7 +118,7 @@ def _likelihoods(axes: list[str], results: list[tuple[TomlTable, ReplayResult]],
     first = results[0][1].summary
     summary = {name: first[name] for name in ("log", "plant", "rows", "dt")} | {
         "axes": axes,
-        "said": list(dict.fromkeys(sentence for _, r in results for sentence in r.summary["said"])),
+        "notes": list(dict.fromkeys(sentence for _, r in results for sentence in r.summary["notes"])),
         "innovations": innovations.to_dict("records"),
         "channels": channels.to_dict("records"),
     }
@@ -270,7 +270,7 @@ def _results(
         "largest_rounding": error,
         "better_dt": shorter_dt,
         "certificates": {label: c.status for label, c in p.certificates.items()},
-        "said": a.remarks,
+        "notes": a.remarks,
         "innovations": innovations.to_dict("records"),
         "channels": channels,
         "delays": [{"observer": o, "estimate": mean, "std": std} for o, (mean, std) in passage.delays.items()],

@@ -64,14 +64,14 @@ function axes() {
 }
 
 function read() { // the state, from the address
-  const said = new URLSearchParams(location.hash.includes("=") ? location.hash.slice(1) : "");
-  state = {said, hide: new Set((said.get("hide") ?? "").split(",").filter(Boolean)), at: {}};
-  state.scenario = indexOf(data.scenarios.map(s => s.title), said.get("scenario"));
-  state.signal = indexOf(scenario().signals.map(g => g.name), said.get("signal"), usual());
-  choose({metric: said.get("metric"), x: said.get("x"), scale: said.get("scale"), show: said.get("show")});
-  for (const a of scenario().axes) if (said.has(a.name)) state.at[a.name] = indexOf(a.words, said.get(a.name));
+  const params = new URLSearchParams(location.hash.includes("=") ? location.hash.slice(1) : "");
+  state = {hide: new Set((params.get("hide") ?? "").split(",").filter(Boolean)), at: {}};
+  state.scenario = indexOf(data.scenarios.map(s => s.title), params.get("scenario"));
+  state.signal = indexOf(scenario().signals.map(g => g.name), params.get("signal"), usual());
+  choose({metric: params.get("metric"), x: params.get("x"), scale: params.get("scale"), show: params.get("show")});
+  for (const a of scenario().axes) if (params.has(a.name)) state.at[a.name] = indexOf(a.words, params.get(a.name));
   draw();
-  state.point = said.get("point");
+  state.point = params.get("point");
   pick(state.point === null ? undefined : points.find(p => `${p.word} ${p.observer.name}` === state.point));
 }
 
@@ -87,7 +87,7 @@ function choose(changes) { // what is not possible falls back to the default
 }
 
 function write() { // the address, from the state
-  const said = new URLSearchParams(), put = (name, value, usual) => { if (value && value !== usual) said.set(name, value); };
+  const params = new URLSearchParams(), put = (name, value, usual) => { if (value && value !== usual) params.set(name, value); };
   put("scenario", scenario().title, data.scenarios[0].title);
   put("signal", signal().name, scenario().signals[usual()].name);
   put("metric", state.metric, data.metric);
@@ -95,9 +95,9 @@ function write() { // the address, from the state
   put("show", state.show, "value");
   put("scale", state.scale, null);
   put("hide", [...state.hide].join(","), "");
-  for (const a of hidden()) if (state.at[a.name]) said.set(a.name, a.words[state.at[a.name]]);
+  for (const a of hidden()) if (state.at[a.name]) params.set(a.name, a.words[state.at[a.name]]);
   put("point", state.point, null);
-  history.replaceState(null, "", `#${said.toString() || "explore"}`);
+  history.replaceState(null, "", `#${params.toString() || "explore"}`);
 }
 
 function change(changes) {
@@ -368,10 +368,10 @@ function pick(p = points.findLast(q => q.isBest && q.px) ?? points.findLast(q =>
 
 function showTip(box, p) {
   const runs = exact(p) ? "exact" : plural(p.n ?? 0, "run");
-  const said = p.best && !p.isBest && p.ratio ? `${ratioOf(p)} times ${p.best.name}; ${verdict(p)}` : verdict(p);
+  const comparison = p.best && !p.isBest && p.ratio ? `${ratioOf(p)} times ${p.best.name}; ${verdict(p)}` : verdict(p);
   box.replaceChildren();
   make(box, "strong", {}, p.observer.name);
-  for (const line of [where(p), `${valueOf(p)}, ${runs}`, said, p.lost && `${losses(p)} diverged`].filter(Boolean)) make(box, "div", {}, line);
+  for (const line of [where(p), `${valueOf(p)}, ${runs}`, comparison, p.lost && `${losses(p)} diverged`].filter(Boolean)) make(box, "div", {}, line);
   const frame = byId("figure").clientWidth;
   box.style.left = `${Math.max(0, Math.min(p.px + 12, frame - box.offsetWidth))}px`;
   box.style.top = `${p.py + 14}px`;

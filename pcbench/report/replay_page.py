@@ -63,7 +63,7 @@ def page(r: Replay, signals: list[str] | None = None) -> str:
         "replay.html",
         title=f"Replay of {recording['log']}",
         description=f"{observers} ({', '.join(r.observers)}) with the plant {recording['plant']}: {seconds}.",
-        remarks=recording["said"],
+        remarks=recording["notes"],
         sections=parts,
         colours={observer: style.colour for observer, style in styles(r.observers).items()},
         meaning=list(MEANING.items()),
@@ -109,7 +109,7 @@ def _tests(r: Replay) -> list[Table]:
     out = [Table("All measurements", ["observer", "measurements", *heads, *ends], rows, note)]
     if len(r.summary["outputs"]) > 1:
         rows = [
-            [row["observer"], row["channel"], f"{row['samples']:,}", f"{row['not_judged']:,}", *texts(row)]
+            [row["observer"], row["channel"], f"{row['samples']:,}", f"{row['skipped']:,}", *texts(row)]
             for row in r.summary["channels"]
         ]
         out.append(Table("By channel", ["observer", "channel", "measurements", "not judged", *heads], rows, ""))

@@ -103,7 +103,7 @@ def table(answers: dict[str, Answer], axis: str) -> pd.DataFrame:
     - `exceeds`, `exceeds_*`: the smallest value above it that significantly exceeds the threshold, and the metric there
     - `fails_below`: a smaller value that significantly exceeds the threshold, so that the error is not monotone
     - `values`, `runs`: number of values, and maximum runs per value
-    - `said`: the answer as a sentence
+    - `sentence`: the answer as a sentence
     """
     return pd.DataFrame([_row(observer, a, axis) for observer, a in answers.items()])
 
@@ -121,7 +121,7 @@ def _row(observer: str, a: Answer, axis: str) -> Row:
         "fails_below": a.fails_below.value if a.fails_below else np.nan,
         "values": len(a.points),
         "runs": max(p.runs for p in a.points),
-        "said": sentence(a, axis),
+        "sentence": sentence(a, axis),
     }
 
 

@@ -131,7 +131,7 @@ def limits_table(screen):
     for name in ("", "exceeds_"):
         rows[f"{name}mean"] = sizes(4)
         rows[f"{name}ci_low"], rows[f"{name}ci_high"] = rows[f"{name}mean"] * 0.95, rows[f"{name}mean"] * 1.05
-    rows = rows.assign(answer="up to", said="")
+    rows = rows.assign(answer="up to", sentence="")
     about = {"unit": "rad/s", "over_unit": "s", "metric": "steady_pooled_rmse", "below": 0.05, "between": (0.0, 1.0)}
     rows.attrs = about | {
         "title": "cart/white",
@@ -145,7 +145,7 @@ def limits_table(screen):
 
 def frontier_table(screen):
     pairs = list(product(OBSERVERS, [0.1, 0.2, 0.4]))
-    rows = pd.DataFrame(pairs, columns=["observer", "sampling_period"]).assign(answer="up to", said="")
+    rows = pd.DataFrame(pairs, columns=["observer", "sampling_period"]).assign(answer="up to", sentence="")
     rows["largest"] = np.linspace(0.012345, 0.9, len(rows)).round(6)
     rows.attrs = {
         "unit": "m",
@@ -187,7 +187,7 @@ def contents_table(screen):
 def replay_table(screen):
     tests = ["nis", "nis_low", "nis_high", "ljung_box_p", "log_likelihood", "log_likelihood_held_out"]
     rows = pd.DataFrame(RNG.random((4, len(tests))) + 0.1, columns=tests)
-    rows = rows.assign(observer=OBSERVERS, samples=123_456, verdict="pessimistic", not_judged=12)
+    rows = rows.assign(observer=OBSERVERS, samples=123_456, verdict="pessimistic", skipped=12)
     channels = pd.concat([rows.assign(channel=name) for name in ("imu/angular_velocity", "gps")])
     metrics = pd.DataFrame(list(product(OBSERVERS, "abcdef")), columns=["observer", "signal"])
     metrics = metrics.assign(metric="steady_rmse", unit="rad/s", value=sizes(len(metrics)))

@@ -207,13 +207,13 @@ def test_estimates_that_are_not_whole_are_refused(study, tmp_path, what):
 @pytest.mark.parametrize(
     ("name", "words"), [("kf-2", "no name that begins as one of pcbench's own"), ("a b", "expected letters")]
 )
-def test_a_guests_name_is_its_own(study, name, words):
+def test_the_name_of_an_external_estimator_is_its_own(study, name, words):
     with pytest.raises(UserError, match=words):
         score.score(study[0], "nothing.parquet", name)
 
 
-def test_a_study_with_a_guest_is_the_same_whatever_stands_in_pcbenchs_own_file(tmp_path, monkeypatch):
-    """Else a release that edits the file would not know the guests that an earlier one has scored."""
+def test_a_study_with_an_external_estimator_is_the_same_whatever_stands_in_pcbenchs_own_file(tmp_path, monkeypatch):
+    """Else a release that edits the file would not know the estimators that an earlier one has scored."""
     before = registry.load("observer", entry.REFERENCE, "test").code
     (tmp_path / "entry.py").write_text(Path(entry.__file__).read_text() + "# edited\n")
     monkeypatch.setattr(entry, "__file__", str(tmp_path / "entry.py"))
@@ -249,7 +249,7 @@ def test_covariance_of_correlated_noise_is_whole(tmp_path):
 
 
 def _estimated(tmp_path, text):
-    """What a guest makes of one run without delay, and what `kf` does."""
+    """What an external estimator makes of one run without delay, and what `kf` does."""
     (tmp_path / "mine.py").write_text(text)
     export_draws.write(parse.grid_of(dict(NOW), {}, []), tmp_path / "out")
     entry.main(str(tmp_path / "out"), f"{tmp_path}/mine.py:Filter", str(tmp_path / "e.parquet"))
@@ -302,7 +302,7 @@ def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_guest_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_path):
+def test_an_external_estimator_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_path):
     (tmp_path / "mine.py").write_text(KALMAN + WRONG)
     folder = tmp_path / "out"
     export_draws.write(parse.grid_of(dict(NOW), {"seeds": 2}, []), folder)
@@ -319,6 +319,6 @@ def test_a_guest_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_pat
         "mean"
     ]
     assert means["theirs"] == pytest.approx(means["kf"], rel=1e-9)
-    assert "guest: one run at a time" in json.dumps(result.provenance["certificates"])
+    assert "external: one run at a time" in json.dumps(result.provenance["certificates"])
     with pytest.raises(UserError, match="holds no draws"):
         score.run(tmp_path, f"{tmp_path}/mine.py:Filter", "theirs")

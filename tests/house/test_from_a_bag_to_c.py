@@ -69,7 +69,7 @@ def test_its_numbers_come_out(sitting):
     assert [rest["nis"], rest["ljung_box_p"], tuned["gain"], tuned["gain_se"]] == pytest.approx(
         [1.03, 0.25, 0.69, 0.035], abs=0.006
     )
-    assert tuned["said"] == [
+    assert tuned["notes"] == [
         "Q[0]: the recording does not determine it, so no interval is given; tune the others with --only."
     ]
     truth = pd.read_parquet(folder / "recorded" / "truth.parquet")

@@ -121,7 +121,7 @@ def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, mo
     table = pcbench.find_limit("cart/slow", observers=["kf", "model-only"], out=tmp_path / "out", **how)
     row = table.set_index("observer").loc["kf"]
     assert row.largest == 1.0
-    assert "no gains there" in row.said
+    assert "no gains there" in row.sentence
     assert table.set_index("observer").answer["model-only"] == "every value"
     assert verify.verify(tmp_path / "out", None, 0).differing == []
     monkeypatch.setattr(find_limit, "_without_gains", lambda cell, o: "nothing works.")

@@ -204,7 +204,9 @@ def test_the_answer_of_values_that_were_run_is_read_from_a_frame():
     assert found.answer.to_dict() == {"a": "up to", "b": "no value"}
     assert (found.largest["a"], found.exceeds["a"], found.exceeds["b"]) == (0.2, 0.4, 0.1)
     assert (found.ci_high["a"], found["mean"]["a"]) == (0.09, 0.08)
-    assert found.said["a"].startswith("period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; undecided at 0.3 with")
+    assert found.sentence["a"].startswith(
+        "period up to 0.2 suffices; at 0.4 it is 0.300 ± 0.010; undecided at 0.3 with"
+    )
     diverged = frame.assign(diverged=(frame.period == 0.1).astype(int))
     assert answers(diverged, "period", LIMIT).set_index("observer").fails_below["a"] == 0.1
     assert answers(diverged.assign(metric="divergence_rate"), "period", LIMIT).fails_below.isna().all()

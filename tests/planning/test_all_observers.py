@@ -94,7 +94,7 @@ def test_trace_and_replay_take_all(tmp_path, monkeypatch):
     monkeypatch.setattr(replay, "prepare_observers", picky)
     found = pcbench.replay(tmp_path / "log", STUDY, "all")
     assert set(found.metrics.observer) == {"model-only"}
-    assert found.summary["said"][:2] == [f"{o} is left out of all observers: {why}" for o, why in LEFT_OUT.items()]
+    assert found.summary["notes"][:2] == [f"{o} is left out of all observers: {why}" for o, why in LEFT_OUT.items()]
     with pytest.raises(UserError, match=r"kf has no room"):
         pcbench.replay(tmp_path / "log", STUDY, ["kf", "all"])
     monkeypatch.setattr(all_observers, "OBSERVERS", {"kf": OBSERVERS["kf"]})

@@ -34,7 +34,7 @@ def test_delay_is_a_column_and_in_the_summary(replayed, observer):
     if observer == "mmae-delay":  # ekf-delay may be biased, as its docstring says
         assert row["estimate"] == pytest.approx(TRUE, abs=0.01)
     assert any(
-        said.startswith(f"{observer}: estimated delay of y1 {row['estimate']:.4g} s") for said in summary["said"]
+        said.startswith(f"{observer}: estimated delay of y1 {row['estimate']:.4g} s") for said in summary["notes"]
     )
 
 

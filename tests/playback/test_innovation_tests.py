@@ -47,7 +47,7 @@ def test_a_smoother_is_left_out_before_memory_runs_out(replayed, monkeypatch):
     monkeypatch.setattr(smoother.memory, "free", lambda: 1 << 14)
     found = pcbench.replay(folder, MOTOR, ["kf", "kf-cloning", "model-only"])
     assert found.distances.empty
-    (said,) = (sentence for sentence in found.summary["said"] if "smoother" in sentence)
+    (said,) = (sentence for sentence in found.summary["notes"] if "smoother" in sentence)
     assert said.endswith("it needs a linear model without unknown inputs, and memory for all ticks.")
 
 

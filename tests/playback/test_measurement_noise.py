@@ -150,7 +150,7 @@ def test_stds_of_one_channel_leave_the_others_as_they_are(tmp_path):
     found = pcbench.replay(recording(tmp_path / "log", samples, std), PLANT, ["kf"])
     _, total = density(samples, np.where(np.isnan(std), R[1], std**2))
     assert found.innovations.log_likelihood[0] == pytest.approx(total / len(samples), rel=1e-10)
-    assert "y1: each measurement has the variance that measurements.csv states for it." in found.summary["said"]
+    assert "y1: each measurement has the variance that measurements.csv states for it." in found.summary["notes"]
 
 
 @pytest.mark.ci

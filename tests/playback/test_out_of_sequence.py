@@ -78,7 +78,7 @@ def test_every_sample_counts_by_channel_in_the_order_of_arrival(replayed):
     by = found.channels.set_index(["observer", "channel"])
     for i in range(2):
         row = by.loc["kf", f"y{i + 1}"]
-        assert (row.samples, row.not_judged) == ((channel == i).sum(), 0)
+        assert (row.samples, row.skipped) == ((channel == i).sum(), 0)
         assert row.nis == pytest.approx(np.mean(z[channel == i] ** 2), rel=1e-10)
 
 
@@ -87,9 +87,9 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
     _, samples, found = replayed
     late = sum(s.channel for s in samples)
     by = found.channels.set_index(["observer", "channel"])
-    assert by.loc["kf-drop-delayed", "y2"][["samples", "not_judged"]].tolist() == [0, late]
-    assert by.loc["ekf-iterated", "y2"].not_judged > 0
-    said = [s for s in found.summary["said"] if "not tested" in s]
+    assert by.loc["kf-drop-delayed", "y2"][["samples", "skipped"]].tolist() == [0, late]
+    assert by.loc["ekf-iterated", "y2"].skipped > 0
+    said = [s for s in found.summary["notes"] if "not tested" in s]
     assert said[0] == (
         f"kf-drop-delayed reports no innovation for {late} of {len(samples)} samples, which are not tested: all of y2."
     )

@@ -87,7 +87,7 @@ def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
         "x0": [size, 1.0],
         "noise_std": 1e-4,
     }
-    said = pcbench.replay(tmp_path, {**MOTOR, "lti": MOTOR["lti"] | lti}, ["kf"]).summary["said"]
+    said = pcbench.replay(tmp_path, {**MOTOR, "lti": MOTOR["lti"] | lti}, ["kf"]).summary["notes"]
     lost = [sentence for sentence in said if "fewer than two digits" in sentence]
     assert len(lost) == (size > 0)
     assert all("kf" in sentence and "position" in sentence and "1e+12 m" in sentence for sentence in lost)

@@ -169,6 +169,6 @@ def test_absolute_values_are_warned_of_and_an_offset_corrects_them(tmp_path):
     moved["value"] += 20.0
     moved.to_parquet(path)
     toml = written(tmp_path, channels={"y1": {"offset": -20.0}})
-    wrong, right = (pcbench.replay(log, MOTOR, "kf").summary["said"] for log in (tmp_path / "flight", toml))
+    wrong, right = (pcbench.replay(log, MOTOR, "kf").summary["notes"] for log in (tmp_path / "flight", toml))
     assert any("above the predictions of kf on average: if its values are absolute" in sentence for sentence in wrong)
     assert not any("absolute" in sentence for sentence in right)

@@ -86,7 +86,7 @@ def test_a_table_longer_than_memory_is_replayed(tmp_path):
     pyarrow.csv.write_csv(whole.append_column("remark", remark), path)
     summary = by_a_small_process(REPLAY, path, path.stat().st_size, REPLAY_LIMIT, tmp_path / "out")
     assert summary["innovations"][0]["samples"] == many
-    assert "and memory for all ticks." in " ".join(summary["said"])
+    assert "and memory for all ticks." in " ".join(summary["notes"])
     assert summary["innovations"][0]["nis"] == pytest.approx(1.0, abs=0.01)
     assert pq.ParquetFile(tmp_path / "out" / "estimates.parquet").metadata.num_rows == summary["ticks"] + 1
 

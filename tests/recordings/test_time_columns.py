@@ -184,8 +184,8 @@ def test_truth_where_there_are_no_measurements_is_not_compared():
     """A truth that goes on for 3 s after the last measurement gives the errors of one that ends with it."""
     short, long = (pcbench.replay(frames(of_truth(np.arange(0, end, 0.01))), PLANT, "kf") for end in (2.255, 5.0))
     pd.testing.assert_frame_equal(short.metrics, long.metrics)
-    assert any("truth before -0.25 s and after 2.25 s is left out" in each for each in long.summary["said"])
-    assert not any("truth" in each for each in short.summary["said"])
+    assert any("truth before -0.25 s and after 2.25 s is left out" in each for each in long.summary["notes"])
+    assert not any("truth" in each for each in short.summary["notes"])
 
 
 @pytest.mark.ci
@@ -195,11 +195,11 @@ def test_truth_of_another_time_or_name_or_without_values():
     both = of_truth(np.arange(0, 2, 0.01)).assign(pos=1.0)
     assert (
         "truth: pos: no state of the plant (x, v); left out."
-        in pcbench.replay(frames(both), PLANT, "kf").summary["said"]
+        in pcbench.replay(frames(both), PLANT, "kf").summary["notes"]
     )
     empty = of_truth(np.arange(0, 2, 0.01)).assign(x=np.nan)
     found = pcbench.replay(frames(empty), PLANT, "kf")
-    assert any("a truth without any value" in each for each in found.summary["said"])
+    assert any("a truth without any value" in each for each in found.summary["notes"])
     assert found.metrics.empty
 
 

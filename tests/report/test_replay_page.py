@@ -74,7 +74,7 @@ def test_page_is_one_file_with_the_numbers_of_the_replay(folders, full):
         assert short(row["rms"]) in text
     assert {f"state-{s}" for s in ("angle", "rate")} | {f"innovations-{c}" for c in ("y1", "y2")} <= set(ids)
     assert re.search("unit.of.the.channel", text), "no state is the second output"
-    assert all(sentence in text for sentence in about["said"])
+    assert all(sentence in text for sentence in about["notes"])
 
 
 @pytest.mark.ci
@@ -192,7 +192,7 @@ def test_page_of_an_observer_without_innovations_has_its_states(folders):
 @pytest.mark.ci
 def test_names_of_channels_are_escaped(folders, full):
     outputs = [row | {"channel": "<b>/y"} if row["channel"] == "y1" else row for row in full.summary["outputs"]]
-    odd = full._replace(summary=full.summary | {"outputs": outputs, "said": ["<script>"], "log": "<i>"})
+    odd = full._replace(summary=full.summary | {"outputs": outputs, "notes": ["<script>"], "log": "<i>"})
     text = replay_page.page(odd)
     assert "<script>" not in text.partition('<script>"use strict"')[0]
     assert "<i>" not in text

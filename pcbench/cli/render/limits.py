@@ -29,8 +29,8 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
     title = f"{summary['title']}: {summary['metric']} of {summary['signal']} below {limit}, over {summary['over']}"
     low, high = summary["between"]
     screen.fit(f"{title} from {low:g} to {high:g}", columns)
-    special_rows = [row for row in rows if row["answer"] != PLAIN or row["said"].count("; ") > 1]
-    screen.say(*(f"{row['observer']}: {row['said']}" for row in special_rows), *summary["notes"])
+    special_rows = [row for row in rows if row["answer"] != PLAIN or row["sentence"].count("; ") > 1]
+    screen.say(*(f"{row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"])
 
 
 def frontier(table: pd.DataFrame, screen: Screen) -> None:
@@ -47,7 +47,7 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
     screen.fit(f"{summary['title']}: largest {second} with {metric} below {limit}", columns)
     special_rows = [row for row in table.to_dict("records") if row["answer"] not in (PLAIN, "every value", "no value")]
     screen.say(
-        *(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}" for row in special_rows), *summary["notes"]
+        *(f"{first} = {row[first]:g}, {row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"]
     )
 
 

@@ -120,12 +120,12 @@ def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
         if axes:
             screen.say(f"Also per channel: {folder}/replay.json")
             return
-    if len(result.channels) and (result.channels.channel.nunique() > 1 or result.channels.not_judged.any()):
+    if len(result.channels) and (result.channels.channel.nunique() > 1 or result.channels.skipped.any()):
         rows = result.channels.to_dict("records")
         columns = [Column(name, [row[name] for row in rows], is_text=True) for name in ("observer", "channel")]
         screen.fit(
             "the same per channel",
-            [*columns, _count("samples", rows), _count("not_judged", rows), *_innovation_columns(rows)],
+            [*columns, _count("samples", rows), _count("skipped", rows), *_innovation_columns(rows)],
         )
     if len(result.metrics):
         _by_signal(
