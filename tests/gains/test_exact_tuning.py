@@ -169,7 +169,7 @@ def test_an_observer_that_is_not_affine_is_tuned_on_runs():
 
 @pytest.mark.nightly
 def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
-    how = {"objective": "steady_pooled_rmse", "signal": "b", "exact": True}
+    how = {"objective": "steady_pooled_rmse", "signal": "b", "exact_objective": True}
     found = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
     (judged,) = found.judgements
     assert (judged.what, judged.seeds.many, judged.tuned_se) == ("exact", 0, 0)
@@ -181,4 +181,4 @@ def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
     assert again.best == found.best
     assert again.exact
     with pytest.raises(UserError, match="holds another tuning"):
-        pcbench.tune(STUDY, "pccebo", budget=3, out=tmp_path / "out", **how | {"exact": False})
+        pcbench.tune(STUDY, "pccebo", budget=3, out=tmp_path / "out", **how | {"exact_objective": False})
