@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int, PyTree, UInt32
 
 Leaf = Any  # an array in a pytree of parameters: of NumPy in a design, of jax when traced
-Room = Leaf  # zeros; only their number matters, because a length is static under jit and a value is not
+Room = Leaf  # zeros; only their shape matters, because a shape is static under jit and a value is not
 Params = PyTree  # a pytree of arrays: parameters of a plant or a controller
 Gains = PyTree  # a pytree of arrays: parameters of an observer, traced, never captured in a closure
 Memory = PyTree  # a pytree of arrays: an observer's state between ticks

@@ -68,6 +68,8 @@ def _apply(jaxpr: Jaxpr, eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
         return results
     if not any(forms):
         return _apply_to_arrays(jaxpr, eqn, args)
+    if name == "cond" and not forms[0]:
+        return _cond(eqn, args)
     if lane_forms.is_one_row(eqn, forms):
         return [_write_row(args) if name == "dynamic_update_slice" else _read_row(args)]
     args = [entries(a) for a in args]
@@ -135,6 +137,17 @@ def _while(eqn: Eqn, args: list[PyTree]) -> list[PyTree] | None:
 
 def _width(args: list[PyTree]) -> int:
     return next((jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a)), 0)
+
+
+def _cond(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
+    """Apply a choice that is common to all lanes as one choice, its branches evaluated entry by entry."""
+    branches, width = jaxpr_compat.branches(eqn.params), _width(args)
+    forms = lane_forms.cond_forms(branches, list(map(form_of, args[1:])))
+
+    def branch_of(program: ClosedJaxpr) -> Callable[..., list[PyTree]]:
+        return lambda *operands: _to_forms(_evaluate(program.jaxpr, program.consts, list(operands)), forms, width)
+
+    return jax.lax.switch(args[0], list(map(branch_of, branches)), *args[1:])
 
 
 def _to_forms(values: list[PyTree], forms: lane_forms.Forms, width: int) -> list[PyTree]:

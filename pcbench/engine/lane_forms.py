@@ -53,6 +53,8 @@ def _forms_of_eqn(eqn: Eqn, args: Forms) -> Forms:
         return [*carry, *(TABLE if row else SAME for row in rows)]
     if name == "while" and (state := while_forms(jaxpr_compat.while_(eqn.params), args)) is not None:
         return state
+    if name == "cond" and not args[0]:
+        return cond_forms(jaxpr_compat.branches(eqn.params), args[1:])
     return [SAME if not v.aval.size and name in STRUCTURAL else ENTRIES for v in eqn.outvars]
 
 
@@ -88,6 +90,11 @@ def while_forms(loop: jaxpr_compat.While, args: Forms) -> Forms | None:
     cond_consts, body_consts, state = args[:first], args[first:second], by_entries(args[second:])
     state = fixed_point(lambda state: forms_of(loop.body, [*body_consts, *state]), state)
     return None if any(forms_of(loop.cond, [*cond_consts, *state])) else state
+
+
+def cond_forms(branches: Sequence[ClosedJaxpr], args: Forms) -> Forms:
+    """Return the forms of the results of a choice that is common to all lanes, which hold for each of its branches."""
+    return list(map(max, zip(*(forms_of(branch, args) for branch in branches), strict=True)))
 
 
 def by_entries(forms: Forms) -> list[int]:

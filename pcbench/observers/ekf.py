@@ -155,9 +155,10 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 
     if buffer.samples.tick.shape[0]:
         update_at = partial(update, gains, now)
-        joint = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N))
-        marked = sample._replace(tick=marker)
-        state = reorder_buffer.newest_with_copy(update_at, copy, buffer._replace(before=joint), marked)
+        joint_buffer = reorder_buffer.replace_states(
+            buffer, lambda state: state._replace(mean=jnp.tile(state.mean, 2), P=kalman.with_copy(state.P, N))
+        )
+        state = reorder_buffer.newest_with_copy(update_at, copy, joint_buffer, sample._replace(tick=marker))
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = predict_joint(gains, now, first, sample.tick)

@@ -79,6 +79,7 @@ def context_of(cell: Cell, cache: memo.Cache = memo.no_cache) -> DesignContext:
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.parameter_drift else 0.0,
         oosm_lag=cache("oosm_lag", (tuple(clocks), n), oosm_lag),
+        random_schedule=sampling.any_random(clocks),
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-d // p) for d, p in zip(delay, period, strict=True)),

@@ -64,6 +64,7 @@ class DesignContext(NamedTuple):
     in_loop: bool = False  # whether a controller computes the input
     sensors: int = 1  # number of sensors: groups of outputs that are sampled, delayed and lost together
     oosm_lag: int = 0  # largest number of newer samples that arrive before an older one
+    random_schedule: bool = False  # whether sampling and arrival times differ between runs
     spare: int = 0  # least room for such newer samples, so that grid points share compiled programs
     # assumed noise of a tick: standard deviations of n states, or an n by n root of the covariance; empty: none
     process_std: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
@@ -113,8 +114,9 @@ class DesignContext(NamedTuple):
 
     @property
     def room(self) -> np.ndarray:
-        """Room for the newer samples that may arrive before an older one (`protocols.Room`)."""
-        return np.zeros(max(self.oosm_lag, self.spare))
+        """Room for the newer samples that may arrive before an older one (`protocols.Room`), for `parts/reorder_buffer`."""
+        size = max(self.oosm_lag, self.spare)
+        return np.zeros(size) if self.random_schedule else np.zeros((size, 1))
 
 
 def require_certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:

@@ -19,6 +19,7 @@ PENDULUM = {
     "xhat0": [0.0, 0.0], "prior_std": [0.3, 0.3],
 }  # fmt: skip
 LATE = {"delay": 0.06, "delay_jitter": 0.04, "loss": 0.2}  # samples arrive out of sequence
+IN_TURN = {"delay_sequence": [0.02, 0.14, 0.04, 0.03]}  # the same samples are out of sequence in every run
 FEEDBACK = {"use": "lqr", "Q1": [10.0, 1.0], "Q2": 1.0}
 GATE = {"observers": {"kf-gate": {"use": "kf", "gate": 3.0}}}
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -47,9 +48,10 @@ def both(monkeypatch, observer, **changes):
 
 @pytest.mark.parametrize(
     ("observer", "changes"),
-    [("kf", LATE)]
+    [("kf", LATE), ("kf", IN_TURN)]
     + [pytest.param(o, LATE, marks=pytest.mark.ci) for o in ("kf-gate", "kf-ignore-delay", "kf-alexander", "kf-larsen")]
-    + [pytest.param(o, {}, marks=pytest.mark.ci) for o in ("pccebo", "pco", "eso", "interval", "finite-time")],
+    + [pytest.param(o, {}, marks=pytest.mark.ci) for o in ("pccebo", "pco", "eso", "interval", "finite-time")]
+    + [pytest.param(o, IN_TURN, marks=pytest.mark.ci) for o in ("kf-gate", "pccebo", "pco", "interval", "finite-time")],
 )
 def test_estimates_do_not_depend_on_where_the_response_starts(monkeypatch, observer, changes):
     """Over 2 s the plant grows by e^6, so that both ways have enough digits."""
@@ -60,7 +62,7 @@ def test_estimates_do_not_depend_on_where_the_response_starts(monkeypatch, obser
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("changes", [{}, LATE])
+@pytest.mark.parametrize("changes", [{}, LATE, IN_TURN])
 def test_kf_equals_ekf_where_the_plant_grows_by_e_60(changes):
     """`ekf` moves tick by tick, so that it keeps its digits in a loop of any length."""
     np.testing.assert_allclose(estimates("kf", 20.0, **changes), estimates("ekf", 20.0, **changes), rtol=0, atol=1e-9)

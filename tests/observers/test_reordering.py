@@ -1,5 +1,7 @@
 """Samples that overtake each other are put back: by the tick they were taken, and of one tick as they came."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from pcbench.observers.parts import reorder_buffer
 from pcbench.observers.parts.reorder_buffer import Measurement
+from pcbench.planning.operation_counts import count_multiplications
 
 BASE = 7.0  # a state is the numbers of all samples used, in their order, as digits
 
@@ -15,15 +18,19 @@ def digits(state, sample):
     return state * BASE + sample.value[0]
 
 
-def replayed(arrivals, places):
+def replayed(arrivals, room):
     """The state after each arrival, where an arrival is (tick taken, number)."""
-    line, out = reorder_buffer.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
+    line, out = reorder_buffer.start(jnp.asarray(0.0), np.zeros(room), 1, 0), []
     step = jax.jit(lambda line, sample: reorder_buffer.replay(digits, line, sample))
     for taken, number in arrivals:
-        sample = Measurement(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
-        line, state = step(line, sample)
+        line, state = step(line, sample_of(taken, number))
+        assert float(reorder_buffer.newest(digits, line)) == float(state)
         out.append(float(state))
     return out
+
+
+def sample_of(taken, number):
+    return Measurement(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
 
 
 def sorted_all(arrivals):
@@ -46,10 +53,32 @@ CASES = {
 
 
 @pytest.mark.ci
+@pytest.mark.parametrize("rest", [(), (1,)], ids=["state before", "and after"])
 @pytest.mark.parametrize("case", CASES)
-def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case):
+def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case, rest):
     arrivals, places = CASES[case]
-    assert replayed(arrivals, places) == sorted_all(arrivals)
+    assert replayed(arrivals, (places, *rest)) == sorted_all(arrivals)
+
+
+@pytest.mark.parametrize(("taken", "products"), [(40, 2), (25, 6)])
+def test_a_sample_in_order_costs_two_steps_if_the_state_after_the_newest_is_stored(taken, products):
+    line = reorder_buffer.start(jnp.asarray(0.0), np.zeros((5, 1)), 1, 0)
+    for number in range(1, 6):
+        line, _ = reorder_buffer.replay(digits, line, sample_of(10 * number - 20, number))
+    replay = partial(reorder_buffer.replay, digits)
+    assert count_multiplications(replay, line, sample_of(taken, 6)) == products
+
+
+def test_a_copy_is_made_between_the_samples_around_it():
+    """In order and out of it, with and without the state after the newest sample."""
+    arrivals, late = [(3, 1), (5, 2), (9, 3), (12, 4)], lambda state, sample: state * BASE + 6.0
+    for taken, expected in ((13, "12346"), (12, "12346"), (10, "12364"), (1, "61234")):
+        for room in ((4,), (4, 1)):
+            line = reorder_buffer.start(jnp.asarray(0.0), np.zeros(room), 1, 0)
+            for arrival in arrivals:
+                line, _ = reorder_buffer.replay(digits, line, sample_of(*arrival))
+            state = reorder_buffer.newest_with_copy(digits, late, line, sample_of(taken, 5))
+            assert float(state) == int(expected, 7), (taken, room)
 
 
 @pytest.mark.ci

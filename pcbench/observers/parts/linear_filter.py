@@ -194,8 +194,9 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
 
     sample = sample._replace(mask=sample.mask & (sample.tick >= first.tick))
     marker = sample._replace(tick=jnp.maximum(sample.tick, first.tick))
-    joint_posterior = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
-    joint_buffer = buffer._replace(before=joint_posterior)
+    joint_buffer = reorder_buffer.replace_states(
+        buffer, lambda state: state._replace(mean=jnp.tile(state.mean, 2), P=kalman.with_copy(state.P, n))
+    )
     state = reorder_buffer.newest_with_copy(partial(update, gains), copy, joint_buffer, marker)
     return innovation_stats(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.tick), sample)
 

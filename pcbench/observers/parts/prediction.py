@@ -106,10 +106,10 @@ def restart(
     """Return memory and sample with g from zero at tick `since`, the oldest sample that may be used again, if g restarts."""
     if motion.restarts is None:
         return memory, measurement
-    before, samples = memory.buffer
+    samples = memory.buffer.samples
     ticks = jnp.concatenate([measurement.tick[None], samples.tick, jnp.asarray(now.tick)[None]])
     g = responses(motion, now, since, ticks)
-    buffer = Buffer(before, samples._replace(snapshot=g[1:-1]))
+    buffer = memory.buffer._replace(samples=samples._replace(snapshot=g[1:-1]))
     return memory._replace(g=g[-1], buffer=buffer), measurement._replace(snapshot=g[0])
 
 
@@ -138,16 +138,19 @@ def make_use(
         new_memory = memory._replace(xhat=memory.g + free, buffer=buffer)  # pccebo's (11)
         if gains.motion.restarts is None:
             return new_memory
-        return remove_response(new_memory, memory.buffer.samples, measurement)
+        return remove_response(gains.motion, new_memory, memory.buffer.samples, measurement)
 
-    def remove_response(memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
-        """Return the memory with g removed from the state before the samples; g starts again there."""
-        before = memory.buffer.before
-        ticks = jnp.append(samples.tick, measurement.tick)
-        is_same_tick = ticks == point_of(before).tick
+    def remove_response(motion: Motion, memory: Memory, samples: Measurement, measurement: Measurement) -> Memory:
+        """Return the memory with g removed from the states before and after the samples; g starts again at the former."""
+        before, after = memory.buffer.before, memory.buffer.after
+        first_tick, ticks = point_of(before).tick, jnp.append(samples.tick, measurement.tick)
+        is_same_tick = ticks == first_tick
         g = jnp.concatenate([samples.snapshot, measurement.snapshot[None]])[jnp.argmax(is_same_tick)]
-        before = shift_estimates(before, jnp.where(jnp.any(is_same_tick), g, 0.0))
-        return memory._replace(g=jnp.zeros_like(memory.g), buffer=memory.buffer._replace(before=before))
+        g = jnp.where(jnp.any(is_same_tick), g, 0.0)
+        if after is not None:
+            after = shift_estimates(after, predict_to(motion, Point(g, first_tick), point_of(after).tick))
+        buffer = memory.buffer._replace(before=shift_estimates(before, g), after=after)
+        return memory._replace(g=jnp.zeros_like(memory.g), buffer=buffer)
 
     return use
 
