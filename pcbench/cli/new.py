@@ -94,7 +94,9 @@ def copy_recording(folder: Path, example: Example) -> None:
 
 FOLDER = Path(__file__).parents[1] / "guide"
 GROUPS = {  # the pages by kind, in the order of the list
-    "Getting started": ("quickstart", "delayed-camera", "recording-to-c", "a-real-recording", "synchronous-sensors"),
+    "Getting started": (
+        *("quickstart", "linear-plant", "delayed-camera", "recording-to-c", "a-real-recording", "synchronous-sensors"),
+    ),
     "How-to guides": (
         *("choose-an-observer", "axes", "find-limit", "delayed-measurements", "unknown-delay", "unknown-inputs"),
         *("nonlinear-filters", "consistency", "measurement-errors", "send-on-delta", "processor", "closed-loops"),

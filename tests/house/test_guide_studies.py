@@ -39,7 +39,7 @@ def test_the_slower_camera_is_a_scenario_as_written(tmp_path):
 
 @pytest.mark.nightly
 def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
-    (text,) = [b for b in blocks("toml") if '"motor"' in b]
+    (text,) = blocks("toml", "linear_plant.md")
     path = tmp_path / "motor.toml"
     path.write_text(text)
     result = pcbench.run(str(path))
@@ -61,7 +61,7 @@ def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
 @pytest.mark.nightly
 def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
     """The error grows with the period, surely, and passes what is asked for between two of them."""
-    (text,) = [b for b in blocks("toml") if '"motor"' in b]
+    (text,) = blocks("toml", "linear_plant.md")
     axes = {"plant.input_bias": [0.0], "sampling_period": [[p, 0.01] for p in (0.04, 0.08, 0.16)]}
     stats = pcbench.run(tomllib.loads(text) | {"observers": ["kf"]}, axes=axes).stats
     rows = stats[(stats.signal == "angle") & (stats.metric == "steady_pooled_rmse")]
@@ -72,7 +72,7 @@ def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
 @pytest.mark.nightly
 def test_the_longest_period_of_the_motors_camera_is_found(tmp_path):
     path = tmp_path / "motor.toml"
-    path.write_text(next(b for b in blocks("toml") if '"motor"' in b))
+    path.write_text(*blocks("toml", "linear_plant.md"))
     how = {"signal": "angle", "metric": "steady_pooled_rmse", "overrides": ["axes.plant.input_bias=0.0"]}
     found = pcbench.find_limit(path, axis="sampling_period[0]", threshold=0.014, between=(0.04, 0.32), **how)
     found = found.set_index("observer")
@@ -94,7 +94,7 @@ def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
 @pytest.mark.nightly
 def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path):
     """The two ratios of R to the current's Q, within 10 %: on 128 runs they scatter by a third of that."""
-    (text,) = [b for b in blocks("toml") if '"motor"' in b]
+    (text,) = blocks("toml", "linear_plant.md")
     start = {"R": [4e-5, 2.5], "Q": [0.0, 0.0, 2.5e-4]}
     raw = tomllib.loads(text) | {"observers": ["kf"], "axes": {}, "options": {"kf": start}}
     made = tune.tune(
