@@ -147,8 +147,8 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         )
     if room.longest_gap + room.latest > cell.times.ticks:
         raise UserError(
-            f"{where}: got {room.longest_gap * s.dt:g} s without a sample before row {room.longest_gap_row} and some up to "
-            f"{room.latest * s.dt:g} s late, expected less than the duration of {s.duration:g} s in all; check the unit "
+            f"{where}: got {room.longest_gap * s.dt:g} s without a sample before row {room.longest_gap_row} and delays of up "
+            f"to {room.latest * s.dt:g} s, expected less than the duration of {s.duration:g} s in all; check the unit "
             "of the times (time_unit), cut the log there, or write a longer duration."
         )
     context = planning.context_of(cell)

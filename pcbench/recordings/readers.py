@@ -109,7 +109,7 @@ FORMATS = {
 def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Log:
     """Return the log of a name, or of frames in memory; raise UserError if it does not exist or needs a TOML."""
     if delay is not None and not delay >= 0:
-        raise UserError(f"--delay: got {delay:g}, expected 0 s or more; write how late samples arrive.")
+        raise UserError(f"--delay: got {delay:g}, expected 0 s or more; write the delay of the samples.")
     if not isinstance(name, str | Path):
         return tables.open_tables(name, delay)
     path = Path(name)

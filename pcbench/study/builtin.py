@@ -28,7 +28,7 @@ QUESTIONS = {  # of each study, as a question
     "flexible-joint": "Up to which period do filters follow the joint?",
     "falling-body": "How much does an unscented filter gain over an EKF on a falling body?",
     "coordinated-turn": "Which filter follows a turning target, and at which delay?",
-    "digester": "How late may laboratory measurements arrive?",
+    "digester": "How long may laboratory measurements be delayed?",
     "camera-target": "How much better is a filter for a delayed camera than visual servoing?",
     "outage": "How far does the error grow during an outage?",
     "send-on-delta": "How does the error depend on the number of messages (send on delta)?",
