@@ -40,7 +40,7 @@ class DesignError(UserError):
     """Gains that were not found or not certified. The sentence has the margin and the solver's status."""
 
 
-def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.4) -> str:
+def nearest_name(got: str, valid: Iterable[str], cutoff: float = 0.5) -> str:
     """Return the valid name most similar to `got`, ignoring case; empty if no similarity reaches `cutoff` (0 to 1)."""
     lower = {name.lower(): name for name in valid}
     matches = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=cutoff)

@@ -128,7 +128,7 @@ def override(raw: TomlTable, change: str) -> None:
     for part in path[:-1]:
         raw = raw.setdefault(part, {})
         if not isinstance(raw, dict):
-            raise UserError(f"{where}: {short(part)} holds a value, not a table; expected KEY=VALUE below a table.")
+            raise UserError(f"{where}: {short(part)} contains a value, not a table; expected KEY=VALUE below a table.")
     raw[path[-1]] = value
 
 
@@ -137,6 +137,10 @@ def _read(path: Path) -> TomlTable:
         if path.exists() and not path.is_file():  # a folder, or a pipe, which would block
             raise OSError(0, "it is no file")
         text = path.read_text(encoding="utf-8-sig")  # with or without a byte-order mark
+    except FileNotFoundError:
+        raise UserError(
+            f"{short(str(path))}: there is no such file; give a TOML file that describes a study."
+        ) from None
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or an invalid name
         reason = getattr(error, "strerror", None) or error
         raise UserError(

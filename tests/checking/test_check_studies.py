@@ -154,7 +154,7 @@ MISTAKES = {
     "a scenario of another plant": (("four.py:fall", "cart/white", {}), "whose plant is cart, expected a scenario of fall"),
     "a number of no plant": (("four.py:fall", None, {"mass": 1.0}), "'mass' is no number of fall"),
     "a scenario for a study": (("cart/white", "cart/white", {}), "got 'cart/white' for a study, expected none"),
-    "no file": (("motor.toml", None, {}), "motor.toml: cannot be read"),
+    "no file": (("motor.toml", None, {}), "motor.toml: there is no such file"),
     "no scenario": (("four.py:watch", "cart/wite", {}), "check --scenario: 'cart/wite' is no scenario; did you mean"),
     "two scenarios": (("four.py:watch", "quick", {}), "expected one here; name a scenario"),
 }  # fmt: skip
@@ -189,7 +189,7 @@ def test_each_kind_is_asked_what_it_should_be(folder):
 def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(monkeypatch):
     monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
     with pytest.raises(
-        CheckNote, match=r"an error remains of kf in lti \(.* of the largest state\).*take a shorter tick"
+        CheckNote, match=r"an error remains of kf in lti \(.* of the largest state\).*use a shorter tick"
     ):
         asked("perfect start", free(["kf"]))
 

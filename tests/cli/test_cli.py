@@ -71,7 +71,7 @@ BAD = {
     ),
     "seeds in words": (["run", "quick", "--seeds", "many"], "--seeds", "valid integer"),
     "too late": (["run", "quick", "--set", "axes.delay=11"], "got 11 s", "at most the duration"),
-    "no file": (["run", "nowhere.toml"], "nowhere.toml", "cannot be read"),
+    "no file": (["run", "nowhere.toml"], "nowhere.toml", "there is no such file"),
     "a folder": (["run", "."], ".: got a folder", "pcbench status"),
     "no equals sign": (["run", "quick", "--set", "axes.delay"], "--set axes.delay", "KEY=VALUE"),
     "command": (["rum", "quick"], "rum", "--help"),

@@ -52,7 +52,7 @@ REFUSED = {
         "name: got 'x.*expected a string .* at most 100 char",
     ),
     "a label of two lines": (CART + '[options."kf-a\\nb"]\nR = 1.0', r"'kf-a\\nb' is no observer with options"),
-    "observers of a plant": (lti(observers="['dfk']"), r"lti\.observers: 'dfk' is no observer; did you mean 'kf'\?"),
+    "observers of a plant": (lti(observers="['kff']"), r"lti\.observers: 'kff' is no observer; did you mean 'kf'\?"),
     "an observer twice": (lti(observers="['kf', 'kf']"), r"lti\.observers: got 'kf' twice"),
     "a number for an observer's file": (
         CART + "custom_observers.mine = 0",

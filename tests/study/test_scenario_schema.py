@@ -117,7 +117,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         (WHITE | {"signals": ["a [m]", "2b"]}, "scenario.signals: got '2b', expected a name with a unit"),
         (WHITE | {"signals": ["a [m]", "a"]}, "scenario.signals: got 'a' twice"),
         (WHITE | {"headline": ["speed"]}, "scenario.headline: 'speed' is no signal; .*valid: position, velocity"),
-        (WHITE | {"observers": ["dfk"]}, "scenario.observers: 'dfk' is no observer; did you mean 'kf'"),
+        (WHITE | {"observers": ["kff"]}, "scenario.observers: 'kff' is no observer; did you mean 'kf'"),
         (WHITE | {"options": {"kf": {"r": 1.0}}}, "scenario.options.kf: 'r' is no key here; did you mean 'R'"),
         (WHITE | {"name": "cart/slow"}, "scenario.name: got 'cart/slow', expected a name that no other scenario has"),
         (WHITE | {"continuous": True}, "whose measurements are continuous and without noise, expected no such axis"),
