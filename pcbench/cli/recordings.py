@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 FROM = "from:"  # as in studies
 File = Annotated[
-    str, argument("Recording: a folder or file of tables, or a TOML file that describes a bag", metavar="LOG")
+    str,
+    argument("Recording: a folder or file of tables, or a TOML file that maps its fields to channels", metavar="LOG"),
 ]
 
 
@@ -38,7 +39,7 @@ def info(
     toml: Annotated[bool, option("Print a TOML file to start from, which maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording contains: rates, gaps, delays, lags, out-of-order or repeated samples, clock drift.
+    """Show what a recording contains: rates, gaps, delays, lags, out-of-order or repeated samples, clock skew.
 
     For a file without a TOML file it prints topics, fields, counts, rates and ranges.
 

@@ -59,7 +59,7 @@ def design(context: DesignContext, options: Options) -> Design:
                 f"{MAX_ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
         gains = assumed_age.gains_of(context, A, K, (d,) * len(plant.tau))
-    inequality = f"radius of the errors' map < 1, if every delay were {d} samples"
+    inequality = f"radius of the errors' map < 1, if every delay were {d} sample{'s' * (d > 1)}"
     certificate = Certificate(
         inequality, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "assumed_delay": d}
     )

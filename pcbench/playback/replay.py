@@ -65,7 +65,7 @@ def replay(
     """Run observers on a recording.
 
     Args:
-        log: folder or file of tables, or a TOML file that maps a bag's fields to channels (see `pcbench.recordings`);
+        log: folder or file of tables, or a TOML file that maps its fields to channels (see `pcbench.recordings`);
             or a dict of pandas frames with the columns of these tables: `measurements`, and `inputs` and `truth` if known.
         plant: a study of one scenario. Its outputs are the recording's channels, in the same order.
         observers: names of observers, or "all".

@@ -100,7 +100,7 @@ def survey(log: Log) -> Survey:
         times = np.concatenate([batch.sampled, batch.arrived])
         grid = add(grid, times, times)
     if not grid.many:
-        raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
+        raise UserError(f"{log.name}: got no samples, expected one at least; name another topic or channel.")
     channels, tables = dict(zip(log.channels, stats, strict=True)), {}
     for name, c in channels.items():
         if c.stds and c.without_std is not None:
@@ -284,7 +284,7 @@ def info(name: "str | Path | Frames", *, delay: float | None = None) -> "pd.Data
     """Summarize a recording: rates, gaps, delays, order and clock of each channel.
 
     Args:
-        name: folder or file of tables, or a TOML file that maps a bag's fields to channels; or frames (see `replay`).
+        name: folder or file of tables, or a TOML file that maps its fields to channels; or frames (see `replay`).
         delay: delay of every measurement [s], for a recording without arrival times.
 
     Returns:

@@ -56,7 +56,7 @@ def test_a_drift_stands_with_its_interval(tmp_path):
     rows(tmp_path / "flight", columns | {"arrived": columns["sampled"] + late})
     done = call("info", "flight", cwd=tmp_path)
     (row,) = json.loads(call("info", "flight", "--json", cwd=tmp_path).stdout)["channels"]
-    value, half = re.search(r"y1: clock drift (-?\d+) ± (\d+) ppm", done.stdout).groups()
+    value, half = re.search(r"y1: clock skew (-?\d+) ± (\d+) ppm", done.stdout).groups()
     assert float(value) == pytest.approx(row["drift_ppm"], abs=0.1 * float(half))
     assert float(half) == pytest.approx(1.96 * row["drift_ppm_se"], rel=0.05)
 

@@ -34,15 +34,15 @@ def channels(table: pd.DataFrame, screen: Screen) -> None:
         Column("delay [ms]\nmedian", [_number(row["delay_median"], MILLI) for row in rows]),
         Column("\n5 to 95 %", ends),
         Column("\nlargest", [_number(row["delay_most"], MILLI) for row in rows]),
-        Column("drift\n[ppm]", [_number(row["drift_ppm"]) for row in rows], spare=1),
+        Column("skew\n[ppm]", [_number(row["drift_ppm"]) for row in rows], spare=1),
     ]
     screen.fit(str(table.attrs["name"]), columns)
     for row in rows:
-        drift, se = row["drift_ppm"], row["drift_ppm_se"]
-        if drift is not None and se is not None and abs(drift) > ROUNDING:
-            interval = estimate(drift, drift - Z95 * se, drift + Z95 * se)
+        skew, se = row["drift_ppm"], row["drift_ppm_se"]
+        if skew is not None and se is not None and abs(skew) > ROUNDING:
+            interval = estimate(skew, skew - Z95 * se, skew + Z95 * se)
             explanation = "±: half a 95 % interval, for independent delays"
-            screen.say(f"{row['channel']}: clock drift {interval} ppm ({explanation}).")
+            screen.say(f"{row['channel']}: clock skew {interval} ppm ({explanation}).")
         screen.say(*(f"{row['channel']}: {sentence}." for sentence in describe_irregularities(row)))
     screen.say(*describe_held(table.attrs["survey"]))
     for lag in table.attrs["lags"]:
