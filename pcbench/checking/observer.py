@@ -79,7 +79,7 @@ def gains(t: Trial) -> str:
     for name, f in functions(t, case).items():
         require(
             is_same_program(program(f, make_observer_arguments(t, case, second)), programs[name]),
-            f"gains: got other numbers in the program of {name} after another design, expected the gains alone to change; take "
+            f"gains: got other numbers in the program of {name} after another design, expected the gains alone to change; use "
             "from gains what design finds, not from a global or a closure.",
         )
     return "all numbers are gains; a second design uses the same program"
@@ -229,7 +229,7 @@ def _require_masked(t: Trial, case: Case) -> None:
         require(
             all(map(np.array_equal, *results)),
             f"no peeking: got an estimate that changes with the value of channel {channel + 1} where arrival.mask is "
-            "False, expected it to be ignored; take values by jnp.where(arrival.mask, ...).",
+            "False, expected it to be ignored; select values by jnp.where(arrival.mask, ...).",
         )
 
 

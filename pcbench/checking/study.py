@@ -100,13 +100,13 @@ def perfect_start(grid: Grid) -> str:
         else:
             exact.append(f"{cell.scenario.name}: {', '.join(claims)}")
     if grows and not exact:
-        raise SkipCheck(f"the state of {', '.join(grows)} is not finite without noise; take a shorter tick")
+        raise SkipCheck(f"the state of {', '.join(grows)} is not finite without noise; use a shorter tick")
     if not exact:
         raise SkipCheck("no observer here claims one, or an unknown input pushes the plant")
     if inexact:
         raise CheckNote(
             f"without noise, from the true start, an error remains of {', '.join(inexact)}: these observers are pcbench's and "
-            "approximate this plant, of fast modes or curved; take a shorter tick, or other observers"
+            "approximate this plant, of fast modes or curved; use a shorter tick, or other observers"
         )
     return f"no error in {'; '.join(exact)}"
 
@@ -138,7 +138,7 @@ def runs(grid: Grid) -> str:
             for k in (k for out in outs for k in np.flatnonzero(~np.isfinite(np.asarray(out.x)[:, :n]).all(1))):
                 raise UserError(
                     f"runs: got a plant of {cell.scenario.name} that is not finite after {k * cell.scenario.dt:g} s, expected "
-                    "numbers; close the loop, or give another start, a shorter tick or horizon."
+                    "numbers; close the loop, or give another start, a shorter tick or duration."
                 )
             for label in p.labels:
                 diverged = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]

@@ -106,7 +106,7 @@ def _error(goal: Goal, c: aggregate.CellBlocks, study: str, within: Seeds) -> fl
     if not rows:
         raise UserError(
             f"--until-se: got {goal.metric} of {', '.join(signals)}, which {scenario.name} does not have, expected a "
-            "metric that every scenario of the study has; take another one."
+            "metric that every scenario of the study has; use another one."
         )
     errors = [inf if r["n"] == 1 else nan if r["se"] is None else r["se"] for r in rows if r["n"]]
     if goal.metric in ("divergence_rate", "unsettled_rate"):

@@ -70,7 +70,7 @@ def read_block(target: storage.Target, block: Block) -> pa.Table:
     table = _table(target, block)
     if isinstance(table, str):
         raise UserError(
-            f"{target.name}/{block.name}: is damaged ({table}), expected a whole block; run the study again to recompute it."
+            f"{target.name}/{block.name}: is damaged ({table}), expected a complete block; run the study again to recompute it."
         )
     return table
 
@@ -79,7 +79,7 @@ def _table(target: storage.Target, block: Block) -> pa.Table | str:
     """Return a block's rows, or the reason why they cannot be read."""
     content = storage.read_buffer(target, block.name)
     if content is None:
-        return "it is gone"
+        return "it is missing"
     try:
         return parquet_io.parse_table(content)
     except parquet_io.DAMAGE as error:
@@ -128,7 +128,7 @@ def damage(target: storage.Target, block: Block, cell_digest: str) -> str | None
     if metadata.get("cell") != cell_digest:
         return "it is of another cell"
     if (metadata.get("observer"), metadata.get("first"), metadata.get("last")) != (block.observer, *block.seeds):
-        return "it is another block than its name says"
+        return "its name belongs to another block"
     if len(table) != metadata.get("rows") or len(table) % block.seeds.many:
         return f"it has {len(table)} rows, expected {metadata.get('rows')}"
     if digest(table, metadata) != metadata.get("digest"):

@@ -128,12 +128,12 @@ def _side(target: storage.Target, claim: StudyClaim) -> Side:
             )
         if storage.read_footer(target, b.name) is None:
             raise UserError(
-                f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to recompute it."
+                f"{target.name}/{b.name}: is damaged, expected a complete block; run the study again to recompute it."
             )
     if not close.is_closed(target, blocks):
         raise UserError(
             f"{target.name}/stats.parquet: is not of the blocks in {target.name}/runs, expected a finished study; run it again "
-            "to go on."
+            "to continue."
         )
     return Side(target, claim, stats, digests, block_files.series(blocks))
 

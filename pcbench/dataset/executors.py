@@ -159,7 +159,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
             except distributed.KilledWorker:
                 raise UserError(
                     "--dask: a task lost its worker several times, expected workers that stay alive; check their memory, and "
-                    "run the same command again to go on."
+                    "run the same command again to continue."
                 ) from None
             except no_workers:
                 raise UserError(
@@ -169,7 +169,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
             except (CancelledError, AsyncCancelled, OSError) as error:
                 raise UserError(
                     f"--dask: the scheduler has ended ({type(error).__name__}), expected one that runs until the study ends; "
-                    "run the same command again to go on."
+                    "run the same command again to continue."
                 ) from None
             future.release()
             feed()

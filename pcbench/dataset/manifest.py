@@ -72,7 +72,7 @@ def claim(target: storage.Target, grid: Grid, overwrite: bool = False) -> StudyC
         if phrases and blocks:
             more = f" and {len(phrases) - MAX_SHOWN} more" if len(phrases) > MAX_SHOWN else ""
             raise UserError(
-                f"{target.name}: holds the results of another study ({'; '.join(phrases[:MAX_SHOWN])}{more}), expected the "
+                f"{target.name}: contains the results of another study ({'; '.join(phrases[:MAX_SHOWN])}{more}), expected the "
                 "same one, or one with more seeds, cells or observers; give a new folder with --out, or start over with "
                 "--overwrite."
             )
@@ -102,8 +102,8 @@ def _cells_of_blocks(target: storage.Target, grid: Grid, blocks: list[Block]) ->
         if any(conflicts.values()):
             first = next(phrase for phrase, applies in conflicts.items() if applies)
             raise UserError(
-                f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({first}), expected the "
-                "study that these blocks are of; run that, or give a new folder with --out."
+                f"{target.name}/study.toml: is missing or damaged, and {b.name} is not of the study given ({first}); run "
+                "the study that these blocks are of, or give a new folder with --out."
             )
         numbers[b.scenario][b.cell] = about["cell"]
     order = {}
@@ -118,7 +118,7 @@ def _require_ours(target: storage.Target, prefixes: tuple[str, ...] = ()) -> Non
     for name in storage.file_names(target):
         if not name.startswith((*KNOWN_FILES, *prefixes)):
             raise UserError(
-                f"{target.name}: holds other files ({name}), expected a new or empty folder; give another one with --out."
+                f"{target.name}: contains other files ({name}), expected a new or empty folder; give another one with --out."
             )
 
 
@@ -130,7 +130,7 @@ def load_manifest(target: storage.Target, run: bool = False) -> StudyClaim:
     text = storage.read_bytes(target, TEXT)
     if text is None:
         raise UserError(
-            f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
+            f"{target.name}: contains no study.toml, or does not exist; give a folder that pcbench run has written."
         )
     table = read_text(target, text)
     study, cells = parse.grid(_drop_resolved(table), f"{target.name}/{TEXT}", stored_code.gate(target, table, run))

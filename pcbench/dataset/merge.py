@@ -67,7 +67,7 @@ def merge(folders: Sequence[str | Path], out: str | Path, progress: Progress = S
     into = storage.target(out)
     if files := storage.file_names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
         raise UserError(
-            f"{into.name}: holds files already ({files[0]}), expected a new folder; give another with --out, or remove it."
+            f"{into.name}: contains files already ({files[0]}), expected a new folder; give another with --out, or remove it."
         )
     union = _over_all_seeds(claims)
     parts, exact = _parts(targets, claims, union), _exact_files(targets, claims, union)
@@ -140,7 +140,7 @@ def _parts(
         for b in sorted(block_files.present(target), key=lambda b: (b.seeds.first, -b.seeds.stop)):
             if reason := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(
-                    f"{target.name}/{b.name}: is damaged ({reason}), expected a whole block; run its study again first."
+                    f"{target.name}/{b.name}: is damaged ({reason}), expected a complete block; run its study again first."
                 )
             block = b._replace(cell=numbers[b.scenario, b.cell])
             out.setdefault((b.scenario, block.cell, b.observer), []).append(Part(target, b, block))
@@ -153,7 +153,9 @@ def _content(part: Part, block: Block) -> pa.Buffer:
         return parquet_io.encode_table(_cut(block_files.read_block(part.target, part.source), block))
     content = storage.read_buffer(part.target, block.name)
     if content is None:
-        raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
+        raise UserError(
+            f"{part.target.name}/{block.name}: is missing, expected a dataset that no other process changes; merge it again."
+        )
     return content
 
 
@@ -205,7 +207,7 @@ def _exact_rows(file: ExactFile, union: StudyClaim) -> pa.Table:
     table = parquet_io.unseal_table(storage.read_buffer(file.target, file.name))
     if table is None:
         raise UserError(
-            f"{file.target.name}/{file.name}: is damaged, expected a whole file; run its study again first."
+            f"{file.target.name}/{file.name}: is damaged, expected a complete file; run its study again first."
         )
     if file.name != moments_tables.NAME:
         return table

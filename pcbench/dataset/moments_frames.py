@@ -90,7 +90,7 @@ class Exact:
         if more:
             raise UserError(
                 f"covariance: got {len(cells[0].options)} observers in a closed loop, expected one: each drives a plant of "
-                "its own; ask with observers=[...] of one."
+                "its own; name one with observers=[...]."
             )
         if not m.rows or any(m.why.values()):
             # an overflow of one observer spoils the numbers of the others here, but not if each is solved by itself

@@ -38,8 +38,8 @@ def open_result(out: str | Path) -> "Result":
         for name in close.damaged_files(target):
             raise _damage_error(target, name)
         raise UserError(
-            f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
-            f"{target.name}/study.toml --out {target.name}."
+            f"{target.name}: got a study without closing tables of its runs, expected a finished one; continue with pcbench "
+            f"run {target.name}/study.toml --out {target.name}."
         )
     result = Result(claim.study, target, out, Cost())
     if (content := storage.read_buffer(target, FAIR)) is not None:
@@ -51,9 +51,7 @@ def open_result(out: str | Path) -> "Result":
 
 
 def _damage_error(target: storage.Target, name: str) -> UserError:
-    return UserError(
-        f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to write it again."
-    )
+    return UserError(f"{target.name}/{name}: is damaged; run the study again to write a new one.")
 
 
 class Result:
@@ -202,14 +200,16 @@ class Result:
             for block in blocks:
                 block_files.read_block(target, block)
             raise UserError(
-                f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected whole blocks; see pcbench "
+                f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected complete blocks; see pcbench "
                 f"verify {target.name}."
             ) from None
 
     def _closing_table(self, name: str) -> "pd.DataFrame":
         table = close.table(self._target, name)
         if table is None:
-            raise UserError(f"{self._target.name}/{name}: is gone or damaged; run the study again to write it again.")
+            raise UserError(
+                f"{self._target.name}/{name}: is missing or damaged; run the study again to write it again."
+            )
         return table.to_pandas()
 
     def __repr__(self) -> str:

@@ -87,7 +87,7 @@ def valid_blocks(target: storage.Target, claim: StudyClaim, say: Callable[[str],
         if damage:
             say(f"{target.name}/{b.name}: is damaged ({damage}); it is computed again.")
         elif b not in valid_set:
-            say(f"{target.name}/{b.name}: holds seeds that another block holds; it is removed.")
+            say(f"{target.name}/{b.name}: contains seeds that another block contains; it is removed.")
         if b not in valid_set:
             storage.remove(target, b.name)
     old = block_files.about_block(target, valid[0]).get("versions", {}) if valid else {}

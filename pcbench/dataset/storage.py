@@ -316,7 +316,7 @@ def file_errors(where: str, action: str = "written") -> Iterator[None]:
             raise UserError(f"{where}: cannot be read ({_reason(error)}); expected a file that you may read.") from None
         raise UserError(
             f"{where}: cannot be written ({_reason(error)}); every file already written is complete: make room or give "
-            "yourself the right to write, and run the same command again to go on, or give another folder with --out."
+            "yourself the right to write, and run the same command again to continue, or give another folder with --out."
         ) from None
 
 

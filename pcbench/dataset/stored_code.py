@@ -58,8 +58,8 @@ def copies(target: storage.Target) -> list[str]:
     for name in names:
         if not COPY.fullmatch(name):
             raise UserError(
-                f"{target.name}: holds other files ({name}), expected only copies of users' code in {user_code.FOLDER}/; give "
-                "another folder with --out, or move them away."
+                f"{target.name}: contains other files ({name}), expected only copies of users' code in {user_code.FOLDER}/; "
+                "give another folder with --out, or move them away."
             )
     return names
 
@@ -123,7 +123,7 @@ def _files(target: storage.Target, path: PurePosixPath) -> tuple[tuple[str, byte
     files = tuple((name, storage.read_bytes(target, f"{path.parent}/{name}") or b"") for name in order)
     if user_code.digest(files) != path.parent.name:
         raise UserError(
-            f"{target.name}/{path}: is gone or changed, expected the code that the runs were made with; run the study again "
+            f"{target.name}/{path}: is missing or changed, expected the code that the runs were made with; run the study again "
             "from its own file to copy it again."
         )
     return files

@@ -136,7 +136,7 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
             intact.append(b)
         progress.step(1)
     unique = block_files.drop_overlaps(intact)
-    errors += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(intact) - set(unique))]
+    errors += [f"{b.name}: contains seeds that another block contains." for b in sorted(set(intact) - set(unique))]
     errors += _changed_files(target, claim)
     errors += [] if errors else _closing_differs(target, claim, unique)
     elsewhere = {(*c.key, o) for c in claim.cells for o in c.options if c.entry(o).elsewhere}  # not to be computed here

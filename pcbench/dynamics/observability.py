@@ -104,7 +104,7 @@ def require_observable(model: Model, where: str) -> None:
     for mode in unobservable(model.A, model.C):
         raise UserError(
             f"{where}: got a plant whose mode {format_mode(mode)} is unobservable, expected an observable one; measure "
-            "another output, or take kf, which needs a detectable plant only."
+            "another output, or use kf, which needs a detectable plant only."
         )
 
 

@@ -9,7 +9,7 @@ from pcbench.export.observer_to_c import Source
 from pcbench.export.structs import RecordedRun
 from pcbench.export.terms import as_c, number_entries
 
-MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
+MAIN = """/* Replays the run of vector.h and prints how far the estimates are from those of the simulation.
    With the argument `estimates` it prints them instead, a line a tick. */
 #include <math.h>
 #include <stdio.h>

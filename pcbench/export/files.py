@@ -71,7 +71,7 @@ def export_observer(
         if cell.scenario.sampling.continuous:
             raise UserError(
                 f"{spec.name}: got a scenario that measures continuously, expected samples, which alone come to a program; "
-                "take one with a sampling period."
+                "use one with a sampling period."
             )
         label = next(iter(cell.options))
         if cell.entry(label).observer.init_random:

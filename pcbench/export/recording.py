@@ -19,7 +19,7 @@ def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, Recor
     if a.last_tick >= LONGEST:
         raise UserError(
             f"{a.name}: got {a.last_tick + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
-            "observer; take a part of the recording that has its longest delays."
+            "observer; use a part of the recording that has its longest delays."
         )
     if with_std := a.survey.with_std():
         raise UserError(

@@ -43,7 +43,7 @@ def plan_without_observers(cell: Cell) -> Plan:
         )
     if s.sampling.continuous:
         raise UserError(
-            f"{s.name}: got continuous measurement, expected samples; take a scenario with a sampling period."
+            f"{s.name}: got continuous measurement, expected samples; use a scenario with a sampling period."
         )
     if isfinite(speed := s.sampling.processor_speed):
         raise UserError(

@@ -53,9 +53,7 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
     It runs in its own process, so its imports do not affect pcbench.
     """
     if not (Path(folder) / "draws" / "cells.json").is_file():
-        raise UserError(
-            f"{folder}: holds no draws, expected a folder that pcbench external prepare wrote; name that one."
-        )
+        raise UserError(f"{folder}: contains no draws; give a folder that pcbench external prepare has written.")
     with tempfile.TemporaryDirectory(prefix="pcbench-external-") as temporary:
         out = f"{temporary}/estimates.parquet"
         progress.note("running the external estimator, one run at a time")
@@ -116,9 +114,7 @@ def extend_study(target: storage.Target, name: str) -> Grid:
         )
     text = storage.read_bytes(target, manifest.TEXT)
     if text is None:
-        raise UserError(
-            f"{target.name}: holds no study, expected a folder that pcbench external prepare has written; name that one."
-        )
+        raise UserError(f"{target.name}: contains no study; give a folder that pcbench external prepare has written.")
     content = manifest.read_text(target, text)
     raw = {k: v for k, v in content.items() if k != "resolved"}
     custom_observers = dict(raw.get("custom_observers", {}))

@@ -220,11 +220,11 @@ def _require_study_folder(study: Study, out: str | Path | None, overwrite: bool)
     other_files = [name for name in names if not name.startswith(KNOWN_FILES)]
     if manifest is None and other_files:
         raise UserError(
-            f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one with --out."
+            f"{target.name}: contains other files ({other_files[0]}), expected a new or empty folder; give another with --out."
         )
     if manifest is not None and not any(name.startswith(KNOWN_FILES) for name in names) and not overwrite:
         raise UserError(
-            f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
+            f"{target.name}: contains the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --overwrite."
         )
     tunings = re.compile(rf"{KNOWN_FILES[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(TUNED)})")

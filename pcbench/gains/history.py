@@ -117,7 +117,7 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
     if content is None:
         if other_files := [name for name in storage.file_names(target) if name not in (HISTORY, TUNED)]:
             raise UserError(
-                f"{target.name}: holds other files ({other_files[0]}), expected a new or empty folder; give another one "
+                f"{target.name}: contains other files ({other_files[0]}), expected a new or empty folder; give another one "
                 "with --out."
             )
         return []
@@ -141,7 +141,7 @@ def _read_points(target: storage.Target, about: str, basis: TomlTable, file: str
         text = "; ".join(differences) or stored_about
         expected = "the same study" if differences else about
         raise AnotherTuning(
-            f"{target.name}: holds another tuning ({text}), expected {expected}; give another folder with --out."
+            f"{target.name}: contains another tuning ({text}), expected {expected}; give another folder with --out."
         )
     return points
 

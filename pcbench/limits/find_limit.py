@@ -94,7 +94,7 @@ def find_limit(
     """
     axes = [axis] if isinstance(axis, str) else list(axis)
     if len(axes) not in (1, 2):
-        raise UserError(f"--axis: got {len(axes)} axes, expected one or two; ask about two at a time.")
+        raise UserError(f"--axis: got {len(axes)} axes, expected one or two; give at most two.")
     observers = [observers] if isinstance(observers, str) else observers
     options = {"seeds": seeds, "observers": observers}
     raw = raw_of(study, overrides or [], FROM_HERE)
@@ -289,7 +289,7 @@ def points(q: Question, values: list[float], refusals: Refusals, result: Result)
     if rows.empty:
         raise UserError(
             f"--metric: got {q.metric} of {q.signal}, which {q.scenario.name} does not have, expected one that it has; "
-            "take another."
+            "use another."
         )
     rows[axis.label] = [axis.number(value) for value in rows[axis.name]]
     supported = [o for o in observers_of(q.study, q.scenario.name) if o not in refusals.observers]

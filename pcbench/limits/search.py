@@ -284,7 +284,7 @@ def question(study: Study, where: str, axis_name: str, metric: str, signal: str 
     if metric not in SMALLER_IS_BETTER:
         if metric in NOT_SMALLER:
             raise UserError(
-                f"--metric: got {metric}, of which less is not better, expected the size of an error; take steady_pooled_rmse."
+                f"--metric: got {metric}, whose smaller values are not better; use an error such as steady_pooled_rmse."
             )
         raise unknown("--metric", "metric to be kept below a limit", metric, SMALLER_IS_BETTER)
     if not (isfinite(threshold) and threshold > 0):
@@ -299,8 +299,8 @@ def question(study: Study, where: str, axis_name: str, metric: str, signal: str 
     axis = axis_of(axis_name, s, study.axes.get(axis_name.partition("[")[0].strip().replace("-", "_")), where)
     if axis.name == "processor_speed":
         raise UserError(
-            f"{where}: got the axis processor_speed, of which more is better, expected one of which the largest value is "
-            "looked for; run a study with several speeds as axes.processor_speed."
+            f"{where}: got the axis processor_speed, whose larger values are better; "
+            "run a study with several speeds as axes.processor_speed."
         )
     if axis.name in ("dither", "try_once_discard"):
         raise UserError(

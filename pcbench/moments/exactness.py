@@ -59,7 +59,7 @@ def _steady_square(cell: CellMoments, signals: slice) -> Float[np.ndarray, " n"]
     return np.asarray(cell.sums.square)[1, signals].min(-1) / (times.ticks - times.tail)
 
 
-INSTEAD = 'take runs for it: pcbench.run, or evaluation = "runs"'
+INSTEAD = 'use runs for it: pcbench.run, or evaluation = "runs"'
 
 
 def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
@@ -70,7 +70,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     if cell.refusal:
         return f"{where} {cell.refusal}; {instead}."
     if reason := lack_of_digits(cell, label):
-        return f"{where} {reason}; shorten the horizon, or {instead}."
+        return f"{where} {reason}; shorten the duration, or {instead}."
     ratio = relative_deviation(s, signals, cell.final_state)
     worst = int(np.argmax(ratio))
     not_affine = ratio[worst] > ROUNDING
@@ -86,7 +86,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         if rounding.any():
             return (
                 f"{where} {describe_response(p, response, rounding)}, which leaves too few digits for an exact answer; "
-                f"shorten the horizon, take kf or ekf, or {instead}."
+                f"shorten the duration, use kf or ekf, or {instead}."
             )
     reach = s.reach[signals].max(-1)
     finite = np.isfinite(reach).all() or np.isfinite(s.size[signals]).all()  # of the runs, if linear maps overflow

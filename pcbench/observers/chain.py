@@ -167,7 +167,7 @@ def design(context: DesignContext, options: Options) -> Design:
     if max(plant.tau) == 0:
         raise UserError(
             f"{where}: got an assumed delay of 0 in every channel, expected one above 0: without delays there is nothing "
-            "to chain; take kf or pccebo."
+            "to chain; use kf or pccebo."
         )
     per_sample = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick

@@ -103,7 +103,7 @@ def design(context: DesignContext, options: Options) -> Design:
     if fastest > GROWTH:
         raise UserError(
             f"{where}: got a plant with a mode that grows by {fastest:.3g} 1/s, expected a stable plant or a chain of "
-            "integrators, as an error of the start would grow too; take kf."
+            "integrators, as an error of the start would grow too; use kf."
         )
     seconds = period * context.dt
     Phi, Gamma_sample = linear.discretize_zoh(model.A, model.B, seconds)

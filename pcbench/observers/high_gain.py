@@ -142,7 +142,7 @@ def design(context: DesignContext, options: Options) -> Design:
     if context.parts is None:
         raise UserError(
             f"high-gain in {context.scenario}: got a plant that is not a chain of positions, rates and parameters, expected "
-            "the helicopter; take ekf, or an observer for linear plants."
+            "the helicopter; use ekf, or an observer for linear plants."
         )
     low, high = np.array(context.unknown_range).T
     unbounded = np.full_like(low, np.inf)

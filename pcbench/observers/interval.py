@@ -142,7 +142,7 @@ def design(context: DesignContext, options: Options) -> Design:
     period, where, model = one_clock(context, "interval"), f"interval in {context.scenario}", context.model
     if model.E is not None:
         raise UserError(
-            f"{where}: got a plant with an unknown input, expected one driven by known inputs and bounded noise; take kf."
+            f"{where}: got a plant with an unknown input, expected one driven by known inputs and bounded noise; use kf."
         )
     (q, n), Phi_tick = model.C.shape, linear.one_tick(model, context.dt)[0]
     Phi = linear.over(linear.doublings(model, context.dt, linear.bits_for(period)), period)

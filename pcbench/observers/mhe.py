@@ -195,7 +195,7 @@ def design(context: DesignContext, options: Options) -> Design:
     window = min(DEFAULT_WINDOW, longest) if options.window is None else options.window
     if window > longest:
         raise UserError(
-            f"{where}: got a window of {window} samples, longer than the horizon, in which {longest} are taken; expected "
+            f"{where}: got a window of {window} samples, longer than the duration, in which {longest} are taken; expected "
             f"at most {longest}."
         )
     horizon = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(context, options, where))

@@ -120,7 +120,7 @@ def coordinates(context: DesignContext, where: str) -> np.ndarray:
         problem = "a nonlinear plant whose states are not the output and its derivative"
     if problem:
         raise UserError(
-            f"{where}: got {problem}, expected two states, the measured position and its rate, without unknown inputs; take "
+            f"{where}: got {problem}, expected two states, the measured position and its rate, without unknown inputs; use "
             "ekf or another observer."
         )
     return np.eye(2)

@@ -280,7 +280,7 @@ def _inputs(cell: Cell, context: DesignContext, cache: memo.Cache) -> NDArray[np
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
-            f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
+            f"of the plant's {m} inputs with commas between; use one of {', '.join(SINGLE)}."
         )
     return u
 

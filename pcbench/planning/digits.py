@@ -64,7 +64,7 @@ def require_of(p: Plan, actual: Floats, steady_mae: Floats) -> None:
     steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
     raise DigitsError(
         f"{s.name}, cell {p.cell.number}: {name} {reaches}, so that fewer than two digits of the errors are left, for any "
-        f"observer; expected a smaller state: take a shorter horizon, {steady}, or an origin near the state."
+        f"observer; expected a smaller state: use a shorter duration, {steady}, or an origin near the state."
     )
 
 
@@ -120,7 +120,7 @@ def _require_response(p: Plan, label: str, steady_mae: Floats) -> None:
     if mask.any():
         raise DigitsError(
             f"{p.cell.scenario.name}, cell {p.cell.number}: {label} {describe_response(p, size, mask)}, so that fewer than two "
-            "digits of its errors are left in float64; expected a smaller one: take a shorter horizon, kf or ekf."
+            "digits of its errors are left in float64; expected a smaller one: use a shorter duration, kf or ekf."
         )
 
 

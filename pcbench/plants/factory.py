@@ -353,5 +353,5 @@ def _require_finite(name: str, value: np.ndarray, e: Equations) -> None:
         raise UserError(
             f"{WHERE}: {name}: got {brief_repr(np.asarray(value).tolist())} at the operating point x = "
             f"{brief_repr(list(e.x0))}, "
-            f"u = {brief_repr(list(e.u0))}, expected finite numbers; take another point, or correct the function."
+            f"u = {brief_repr(list(e.u0))}, expected finite numbers; use another point, or correct the function."
         )

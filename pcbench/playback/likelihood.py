@@ -54,7 +54,7 @@ def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
     """Return the observer of a recording and the recording in memory; raise UserError if it is too long or does not fit."""
     if a.last_tick >= MAX_TICKS:
         raise UserError(
-            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MAX_TICKS}; cut the log, or take a longer tick."
+            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MAX_TICKS}; cut the log, or use a longer tick."
         )
     a = a._replace(length=max(power_of_2(a.last_tick + 1), 2))
     p = prepare_observers(a, room_of(a))

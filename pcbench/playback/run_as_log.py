@@ -25,7 +25,7 @@ def tables_of(
     """
     if len(schedule.early):
         raise UserError(
-            "--log: got a scenario that measured before t = 0, expected one that begins there; take another."
+            "--log: got a scenario that measured before t = 0, expected one that begins there; use another."
         )
     last = len(recording.x) - 1
     every = sorted((s for s in samples if s.tick <= last), key=lambda s: (s.tick, s.channel))

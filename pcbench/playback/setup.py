@@ -91,7 +91,7 @@ def open_playback(
     if len(recording.channels) != len(s.sampling.delay):
         raise UserError(
             f"{recording.name}: got the channels {', '.join(recording.channels)}, expected one for each of the "
-            f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
+            f"{len(s.sampling.delay)} outputs of {s.name}; use another plant, or map the channels in a TOML file."
         )
     require_units(recording, output_units(s))
     recording, stats, omissions = limit_truth(recording, stats, [name for name, _ in estimated_of(s)])
@@ -143,7 +143,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     where = f"{a.log.name} on {s.name}"
     if s.sampling.continuous:
         raise UserError(
-            f"{where}: got a scenario that measures continuously, expected one that samples; take another plant file."
+            f"{where}: got a scenario that measures continuously, expected one that samples; use another plant file."
         )
     if room.longest_gap + room.latest > cell.times.ticks:
         raise UserError(
@@ -177,7 +177,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
                 supported = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
                 raise UserError(
                     f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
-                    f"that uses it: {supported}; take one of these, or leave std and variance out of the recording."
+                    f"that uses it: {supported}; use one of these, or leave std and variance out of the recording."
                 )
             if getattr(design.gains, "mix", None) is not None:
                 raise UserError(

@@ -262,7 +262,7 @@ def _require_slope(evaluate: likelihood.Evaluator, at: Vector, samples: SampleLi
     by_differences, slope = (ahead - back) / (2 * DIFF_STEP), samples.score.sum()
     if not abs(by_differences - slope) <= SLOPE_TOL * (abs(slope) + np.sqrt(len(samples.log_likelihood))):
         raise UserError(
-            f"{where}: got an observer whose likelihood cannot be differentiated, expected one that goes downhill; tune kf, "
+            f"{where}: got an observer whose likelihood cannot be differentiated, expected one with a gradient; tune kf, "
             "ekf or ukf."
         )
 
@@ -295,7 +295,7 @@ def _require_samples(tick: Ints, numbers: Ints | Floats, held_out_start: int, fr
         if (count := int(numbers[mask].sum())) < fewest:
             raise UserError(
                 f"{where}: got {count} measured numbers in {name}, expected {fewest} or more, {MIN_NUMBERS} for each of {free} "
-                "free parameters; take a longer log, or tune fewer with --only."
+                "free parameters; use a longer log, or tune fewer with --only."
             )
 
 

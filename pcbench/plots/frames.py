@@ -220,9 +220,7 @@ def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None =
     for name in [name for name in varying_axes(part) if name not in free]:
         value = (at or {}).get(name, part[name].iloc[0])
         if value not in set(part[name]):
-            raise UserError(
-                f"at: got {name} = {value!r}, expected one of {sorted(set(part[name]), key=str)}; take one."
-            )
+            raise UserError(f"at: got {name} = {value!r}, expected one of {sorted(set(part[name]), key=str)}; use one.")
         part = part[part[name] == value]
     return part
 

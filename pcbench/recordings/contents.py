@@ -110,10 +110,10 @@ def _contents(source: Source, topic: Topic, kind: readers.Format) -> TopicConten
 def _time_problem(stamp: str, s: FieldStats | None) -> str:
     """Return the problem with the times of a table; empty: none."""
     if s is None:
-        return f"column '{stamp}' holds text that is no time, expected seconds or ISO 8601; convert its values."
+        return f"column '{stamp}' contains text that is not a time, expected seconds or ISO 8601; convert its values."
     empty, wrong = s.rows - s.spread.many, []
     if falls := s.falls:
-        wrong.append(f"does not rise in {falls:,} row{'s' * (falls > 1)}: sort the rows, and remove doubled ones")
+        wrong.append(f"does not rise in {falls:,} row{'s' * (falls > 1)}: sort the rows, and remove repeated ones")
     if empty:
         wrong.append(f"is empty in {empty:,} row{'s' * (empty > 1)}: remove {'them' if empty > 1 else 'it'}")
     return f"column '{stamp}' of times {', and '.join(wrong)}." if wrong else ""

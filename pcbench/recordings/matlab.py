@@ -103,7 +103,7 @@ def variables(source: Source, names: list[str] | None) -> dict[str, Any]:
     """Return the variables of these names (None: all), structs as dicts."""
     from scipy.io import loadmat
 
-    with convert_errors(source, "a whole MATLAB file; save it again with -v7"):
+    with convert_errors(source, "a complete MATLAB file; save it again with -v7"):
         with source.path.open("rb") as file:
             head = file.read(520)
         if HDF5 in (head[:8], head[512:]):

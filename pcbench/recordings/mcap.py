@@ -48,7 +48,7 @@ def _open_reader(source: Source) -> Iterator["McapReader"]:
     """Yield the reader of a file; its exceptions become UserErrors."""
     from mcap.reader import make_reader
 
-    with convert_errors(source, "a whole MCAP file; repair it with mcap recover"):
+    with convert_errors(source, "a complete MCAP file; repair it with mcap recover"):
         if not source.cache:
             require_small_mcap(source.path, source.place)
             source.cache["is small"] = True

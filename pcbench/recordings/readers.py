@@ -114,7 +114,7 @@ def open_log(name: str | Path | tables.Frames, delay: float | None = None) -> Lo
         return tables.open_tables(name, delay)
     path = Path(name)
     if not path.exists():
-        raise UserError(f"{path}: got no such file or folder, expected a log; see pcbench guide recordings.")
+        raise UserError(f"{path}: there is no such file or folder; give a recording as in pcbench guide recordings.")
     if path.suffix.lower() == ".toml":
         return open_toml(path, delay)
     if path.is_dir() or tables.has_channels(path):
@@ -224,7 +224,7 @@ def _validate(model: type[M], raw: TomlTable, path: Path) -> M:
         if place in ("channels", "log") and first["type"] in ("missing", "too_short"):
             problem = 'channel, expected one at least; write [channels.y1] with field = "NAME" and unit = "m"'
             problem = problem if place == "channels" else "log, expected the name of the file; write log = NAME"
-            raise UserError(f"{path.name}: got no {problem}, or remove the # before those that are meant.") from None
+            raise UserError(f"{path.name}: got no {problem}, or remove the # before those that you need.") from None
         if place == "log":
             raise UserError(
                 f'{path.name}: log is the name of one file or folder; write log = "camera.csv". To combine several files, see '
@@ -277,7 +277,7 @@ def _channel(
     arrival_field = c.arrived or (None if fixed_delay is not None or c.period else kind.arrived)
     if arrival_field is None and fixed_delay is None:
         raise UserError(
-            f"{where}: got neither arrived nor delay, expected one: this kind of file does not say when samples arrived; "
+            f"{where}: got neither arrived nor delay, expected one: this kind of file has no arrival times; "
             "write delay = 0.0 if they came at once."
         )
     if c.arrived and fixed_delay is not None:
@@ -285,7 +285,7 @@ def _channel(
     if c.std and c.variance:
         raise UserError(f"{where}: got std and variance, expected one of them; leave one out.")
     if c.t:
-        raise UserError(f"{where}: got t, expected sampled: a channel has that in its place; write sampled.")
+        raise UserError(f"{where}: got t, expected sampled, the key of a channel; write sampled.")
     noise_field, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
     time_fields = [each for each in (stamp, arrival_field) if each]
     fields = [*value.fields, *time_fields, *([noise_field] if noise_field else [])]

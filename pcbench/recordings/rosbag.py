@@ -38,7 +38,9 @@ def _open_reader(source: Source) -> Iterator["AnyReader"]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    with convert_errors(source, "a whole bag; repair it with rosbag reindex or ros2 bag reindex, or record it again"):
+    with convert_errors(
+        source, "a complete bag; repair it with rosbag reindex or ros2 bag reindex, or record it again"
+    ):
         if not source.cache:
             require_small_bag(source.path, source.place)
             source.cache["is small"] = True

@@ -67,8 +67,7 @@ def open_tables(path: Path | Frames, delay: float | None = None) -> Log:
     head_of = _find_columns(measured, COLUMNS)
     if "arrived" not in head_of and delay is None:
         raise UserError(
-            f"{measured.name}: got no column 'arrived', expected when samples arrived [s]; write the column, "
-            "or give --delay."
+            f"{measured.name}: got no column 'arrived', expected arrival times [s]; write the column, or give --delay."
         )
     if "arrived" in head_of and delay is not None:
         raise UserError(

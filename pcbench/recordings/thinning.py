@@ -21,7 +21,7 @@ def thin_tables(
     """
     batches = list(log.measurements())
     if not batches:
-        raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
+        raise UserError(f"{log.name}: got no samples, expected one at least; name another topic or channel.")
     batches = [b._replace(std=b.std if len(b.std) else np.full(len(b.row), np.nan)) for b in batches]
     samples = Batch(*(np.concatenate(columns) for columns in zip(*batches, strict=True)))
     samples = samples.select(np.argsort(samples.sampled, kind="stable"))

@@ -93,7 +93,7 @@ def require_forward(where: str, before: float, rows: Rows) -> None:
         earlier = rows.t[i - 1] if i else before
         raise UserError(
             f"{where}: row {rows.row[i]}: got the time {rows.t[i]:.9g} s after {earlier:.9g} s, expected later times; "
-            "sort the rows, and leave doubled ones out."
+            "sort the rows, and remove repeated ones."
         )
 
 

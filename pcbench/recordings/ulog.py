@@ -41,10 +41,13 @@ def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.n
     """Return the fields of topics of these names (None: all), by topic."""
     from pyulog import ULog
 
-    with convert_errors(source, "a whole ULog; correct it"), redirect_stdout(StringIO()) as remarks:  # of skipped data
+    with (
+        convert_errors(source, "a complete ULog; correct it"),
+        redirect_stdout(StringIO()) as remarks,
+    ):  # of skipped data
         log = ULog(str(source.path), names)
     if log.file_corruption or "corrupt" in remarks.getvalue():
         raise UserError(
-            f"{source.place}: got records that cannot be read among others, expected a whole ULog; correct it."
+            f"{source.place}: got records that cannot be read among others, expected a complete ULog; correct it."
         )
     return {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: d.data for d in log.data_list}

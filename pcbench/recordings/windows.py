@@ -102,7 +102,7 @@ def blocks(log: Log, survey: Survey, clock: Clock, length: int, last: int) -> It
             before, sample = (samples.iloc[int(np.argmax(is_duplicate)) - step] for step in (1, 0))
             raise UserError(
                 f"{log.name}: row {sample.row:.0f} of channel {log.channels[int(sample.channel)]}: got a sample on the same "
-                f"tick of {clock.dt:g} s as row {before.row:.0f}, expected one at most; leave the doubled sample out, or take "
+                f"tick of {clock.dt:g} s as row {before.row:.0f}, expected one at most; remove the repeated sample, or use "
                 "a shorter tick."
             )
         number = n_samples[samples.channel] + samples.groupby("channel").cumcount()

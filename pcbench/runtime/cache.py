@@ -37,7 +37,7 @@ def _require_private(path: Path) -> None:
         return
     if status.st_uid != os.geteuid():
         raise UserError(
-            f"{path}: got a cache that another user owns, expected one of yours: it holds programs, which are run; name a "
+            f"{path}: got a cache that another user owns, expected one of yours: it contains programs, which are run; name a "
             "folder of yours with PCBENCH_CACHE."
         )
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):

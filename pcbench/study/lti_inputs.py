@@ -124,7 +124,7 @@ def _table(entries: list[object], n_inputs: int, ticks: tuple[int, float], kind:
     count, dt = ticks
     if len(entries) > ROWS:
         raise UserError(
-            f"{where}: got {len(entries):,} rows, expected at most {ROWS:,}; take a longer tick, or fewer rows."
+            f"{where}: got {len(entries):,} rows, expected at most {ROWS:,}; use a longer tick, or fewer rows."
         )
     if not any(isinstance(row, list) for row in entries):
         values = [axes.number(v, f"{where}[{i}]", None) for i, v in enumerate(entries)]

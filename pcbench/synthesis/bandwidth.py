@@ -117,5 +117,5 @@ def chain_of(model: Model, where: str, n_states: int | None = None) -> Chain:
     states = f"{n_states}" if n_states is not None else "n"
     raise UserError(
         f"{where}: got {problem}, expected a chain of {states} integrators: x' = A x + B u, one output without feedthrough, "
-        f"and one input or unknown input that acts on its derivative of order {states} first; take kf."
+        f"and one input or unknown input that acts on its derivative of order {states} first; use kf."
     )

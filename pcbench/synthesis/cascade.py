@@ -118,5 +118,5 @@ def design(
             return links, certificate
     raise DesignError(
         f"{where}: got errors that do not decay with {'up to ' if m is None else ''}{max(counts)} links over a delay of "
-        f"{delay} ticks, expected a radius below 1; take another omega, more links, or kf."
+        f"{delay} ticks, expected a radius below 1; use another omega, more links, or kf."
     )

@@ -85,11 +85,11 @@ def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
         K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
         outcome = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
-        outcome = f"SciPy said '{first_sentence(error)}'"
+        outcome = f"SciPy reported '{first_sentence(error)}'"
     if outcome != "F is stable":
         raise DesignError(
             f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({outcome}), expected process "
-            "noise on every mode that does not decay; give option q, or take gain = 'poles'."
+            "noise on every mode that does not decay; give option q, or use gain = 'poles'."
         )
     return K
 
@@ -106,7 +106,7 @@ def by_companion(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix
     if not invertible(plant.C):
         raise DesignError(
             f"{where}: gain = 'companion' got C of shape {list(plant.C.shape)} and rank {rank(plant.C)}, "
-            "expected an invertible one (T = C); take 'poles' or 'riccati'."
+            "expected an invertible one (T = C); use 'poles' or 'riccati'."
         )
     F = np.linalg.solve(plant.C, companion(pole, len(plant.A)) @ plant.C)
     return np.asarray((power(plant.A, d) - F) @ np.linalg.inv(plant.C), float)

@@ -118,7 +118,7 @@ def _certify_range(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -
     if not decay < fastest:
         raise DesignError(
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
-            "take a slower decay or a narrower range, or gain = 'h2'."
+            "use a slower decay or a narrower range, or gain = 'h2'."
         )
     error_maps = ErrorMaps(F, maps.seconds)
     inequality = f"F'P F < e^{{-2 {decay:g} T}} P at every map of the range, F = (I - L C) Phi"

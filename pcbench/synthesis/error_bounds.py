@@ -43,7 +43,7 @@ def require_slower(rate: float, seconds: Matrix, where: str) -> None:
     if rate > limit:
         raise UserError(
             f"{where}: got a decay of {rate:g} 1/s, expected {limit:.3g} at most over intervals of {np.max(seconds):g} s, "
-            "within which faster errors vanish; take a slower one."
+            "within which faster errors vanish; use a slower one."
         )
 
 

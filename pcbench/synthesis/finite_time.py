@@ -68,7 +68,7 @@ def design(
     size = float(np.abs(k2).max(initial=0.0))
     if not size < MAX_WEIGHT:
         raise DesignError(
-            f"{where}: got weights of size {size:.2g} for {N} samples, expected less than {MAX_WEIGHT:g}; take more samples or "
+            f"{where}: got weights of size {size:.2g} for {N} samples, expected less than {MAX_WEIGHT:g}; use more samples or "
             "other poles."
         )
     K2 = slow.V @ k2 @ slow.W

@@ -98,7 +98,7 @@ def solve(task: HeldTask, L: Matrix, where: str, solver: str = "CLARABEL") -> He
     constraints = [P << np.eye(n), P >> t * np.eye(n), *(R_g >> t * np.eye(n) for R_g in R)]
     for form in map(cp.bmat, corner_forms(task, P, R, (P2.T, P3.T), Y)):
         constraints.append((form + form.T) / 2 << -t * np.eye(form.shape[0]))
-    advice = "shorten the intervals, take a slower decay, or narrow the ranges"
+    advice = "shorten the intervals, use a slower decay, or narrow the ranges"
     status, (X, margin, X2, Z, *S) = solvers.minimise(-t, constraints, (P, t, P2, last, *R), where, solver, advice)
     X3, gain = (Z, unit_L) if L.size else (task.ratio * X2, np.asarray(np.linalg.solve(X2.T, Z), float))
     return HeldGain(P=X, R=np.stack(S), P2=X2, P3=X3, L=gain, t=float(margin), status=status, solver=solver)

@@ -30,7 +30,7 @@ def gain(Phi: Matrix, Gamma: Matrix, Q1: Matrix, Q2: Matrix, where: str) -> Matr
         S = solve_discrete_are(Phi, Gamma, Q1, Q2)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{first_sentence(error)}'), expected a plant "
+            f"{where}: the Riccati equation of lqr was not solved (SciPy reported '{first_sentence(error)}'), expected a plant "
             "that its inputs can stabilise and a Q1 that weights every mode that does not decay; weight another state or add "
             "an input."
         ) from error

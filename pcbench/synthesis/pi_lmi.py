@@ -23,7 +23,7 @@ from pcbench.synthesis import solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
-ADVICE = "take a slower rate"
+ADVICE = "use a slower rate"
 
 
 class PIGains(NamedTuple):
@@ -58,7 +58,7 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
     if not beta < least:
         raise UserError(
             f"{where}: got a rate beta of {beta:.4g} 1/s, expected less than the {least:.4g} 1/s at which A11 - L1 A211 "
-            "decays; take a slower beta or a faster L1."
+            "decays; use a slower beta or a faster L1."
         )
     name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
     return solvers.solve_or_load(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))

@@ -44,6 +44,6 @@ def by_poles(plant: SampledPlant, d: int, pole: float, where: str) -> Matrix:
                 G = np.asarray(place_poles(A.T, M.T, target_poles).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
-                f"{where}: the poles were not placed (SciPy said '{first_sentence(error)}'), expected another pole; change it."
+                f"{where}: the poles were not placed (SciPy reported '{first_sentence(error)}'); use another pole."
             ) from error
     return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)

@@ -40,7 +40,7 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
         P: Matrix = np.asarray(solve_continuous_are(A.T, C.T, Q, R), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the Riccati equation (27) was not solved (SciPy said '{first_sentence(error)}'), "
+            f"{where}: the Riccati equation (27) was not solved (SciPy reported '{first_sentence(error)}'), "
             "expected (A, C) detectable and Q, R positive; change Q, R or the outputs."
         ) from error
     K: Matrix = np.asarray(np.linalg.solve(R, C @ P).T, dtype=np.float64)
@@ -59,7 +59,7 @@ def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Ma
         P = solve_discrete_are(Phi.T, C.T, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the discrete Riccati equation was not solved (SciPy said '{first_sentence(error)}'), "
+            f"{where}: the discrete Riccati equation was not solved (SciPy reported '{first_sentence(error)}'), "
             "expected (Phi, C) detectable and Q, R positive; change Q, R or the outputs."
         ) from error
     return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T, dtype=np.float64)

@@ -27,7 +27,7 @@ Kind = Literal["decay", "h2", "hinf"]
 FASTEST = 5.0  # fastest decay, e^-5 per sample
 ENERGY_FACTOR = 1.01  # factor of the least squared energy gain
 STEPS = 24  # of the search for the fastest rate
-ADVICE = "take a slower decay or a narrower range"
+ADVICE = "use a slower decay or a narrower range"
 
 
 class RobustTask(NamedTuple):

@@ -67,7 +67,7 @@ def _period_in_ticks(context: DesignContext, where: str) -> int:
         seconds = ", ".join(f"{p * dt:g}" for p in context.period)
         raise UserError(
             f"{where}: got sampling periods of {seconds} s, expected the same for all channels, because it computes "
-            "once per sample; give one period, or take kf."
+            "once per sample; give one period, or use kf."
         )
     period = periods.pop()
     times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(context.delay)}
@@ -76,7 +76,7 @@ def _period_in_ticks(context: DesignContext, where: str) -> int:
             low = ticks // period * period * dt
             raise UserError(
                 f"{where}: got {template.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
-                f"samples; write {low:g} or {low + period * dt:g}, or take kf."
+                f"samples; write {low:g} or {low + period * dt:g}, or use kf."
             )
     return period
 

@@ -25,7 +25,7 @@ from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.unknown_input import Split
 
 BOUNDS = (1e2, 1e4, 1e6, 1e8)  # upper bounds of P1 if it would be unbounded
-ADVICE = "take a slower rate"
+ADVICE = "use a slower rate"
 
 
 class SlidingModeGains(NamedTuple):

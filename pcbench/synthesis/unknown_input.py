@@ -91,7 +91,7 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
     fixed_modes = unmovable(plant)
     slowest = max((mode.real for mode in fixed_modes), default=-np.inf)
     if slowest >= -rate:
-        advice = f"take a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
+        advice = f"use a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
         raise UserError(
             f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(format_mode, fixed_modes))}, expected "
             f"each left of {-rate:.4g} 1/s; {advice}measure other outputs."
@@ -121,10 +121,10 @@ def rate_to_certify(rate: float) -> float:
 def _require_assumptions(model: Model, where: str) -> Matrix:
     """Return E of a model that meets Assumptions 1 and 2; raise UserError for the first one that it violates."""
     if model.discrete:
-        raise UserError(f"{where}: got a discrete model, expected x' = A x + B u + E f; take another observer.")
+        raise UserError(f"{where}: got a discrete model, expected x' = A x + B u + E f; use another observer.")
     if model.E is None or model.E.shape[1] == 0:
         raise UserError(
-            f"{where}: the plant has no unknown input, expected a model with E [n, r], r > 0; take another observer."
+            f"{where}: the plant has no unknown input, expected a model with E [n, r], r > 0; use another observer."
         )
     A, C, E = model.A, model.C, model.E
     (n, m), p, r = model.B.shape, len(C), E.shape[1]

@@ -22,7 +22,7 @@ WRONG = [
         BATCH,
         "mhe",
         "options.mhe.window=302",
-        "a window of 302 samples, longer than the horizon, in which 301 are taken",
+        "a window of 302 samples, longer than the duration, in which 301 are taken",
     ),
     (BATCH, "mhe", "options.mhe.window=0", "window: got 0"),
     (BATCH, "mhe", "options.mhe.iterations=-2", "iterations: got -2"),

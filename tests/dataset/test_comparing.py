@@ -172,7 +172,7 @@ def test_a_damaged_block_is_no_equal_result(whole, copy):
     block.write_bytes(block.read_bytes()[:-50])
     done = call("compare", whole, copy)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"{block.relative_to(copy)}: is damaged, expected a whole block" in done.stderr
+    assert f"{block.relative_to(copy)}: is damaged, expected a complete block" in done.stderr
 
 
 def test_cells_are_matched_by_what_they_are_and_not_by_number(whole, tmp_path):

@@ -32,7 +32,7 @@ def told(done, code=2):
 )
 def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     (copy / "provenance.json").write_text(text)
-    assert "provenance.json: is damaged, expected it as it was written" in told(call("report", copy))
+    assert "provenance.json: is damaged; run the study again" in told(call("report", copy))
     told(call("compare", whole, copy))
     found = verify.status(copy)
     assert not found.closed
@@ -158,7 +158,7 @@ def test_a_lost_study_text_is_written_anew_by_the_study_itself(whole, copy, dama
         {"name": "other"},
         {"axes": {"noise_std": [0.1]}},
     ):
-        with pytest.raises(UserError, match=r"is gone or damaged, and .* is not of the study given \(.+\)"):
+        with pytest.raises(UserError, match=r"is missing or damaged, and .* is not of the study given \(.+\)"):
             pcbench.run(STUDY | other, out=copy)
     with pytest.raises(UserError, match=r"study.toml"):
         verify.status(copy)

@@ -212,7 +212,7 @@ def test_of_a_plant_that_is_not_affine_it_is_said_who_and_by_how_much_in_every_r
     said = call("run", str(tmp_path / "s.toml"), "--evaluation", "exact", "--out", str(tmp_path / "out"))
     sentence = "reactor/batch, cell 0: ekf is not affine in the noise: "
     assert said.returncode == 0, said.stderr
-    for words in (sentence, "off by", "take runs for it", "No number in "):
+    for words in (sentence, "off by", "use runs for it", "No number in "):
         assert words in said.stdout + said.stderr
     stats = open_result(tmp_path / "out").stats
     assert {"mse", "mae", "final_error", "steady_pooled_rmse"} <= set(stats.metric)

@@ -145,7 +145,7 @@ def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
 def test_fresh_removes_nothing_of_others(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
     for overwrite in (False, True):
-        with pytest.raises(UserError, match="holds other files"):
+        with pytest.raises(UserError, match="contains other files"):
             pcbench.run(STUDY, out=tmp_path, overwrite=overwrite)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 

@@ -81,11 +81,11 @@ def test_a_folder_of_the_users_own_beside_a_study_is_refused_with_fresh_too(ds, 
     (mixed / "code").mkdir(parents=True)
     shutil.copy(ds / "study.toml", mixed)
     (mixed / "code" / "mylib.py").write_text("my = 1")
-    with pytest.raises(pcbench.UserError, match=r"mixed: holds other files \(code/mylib.py\)"):
+    with pytest.raises(pcbench.UserError, match=r"mixed: contains other files \(code/mylib.py\)"):
         pcbench.run(**ASKED, out=mixed, overwrite=True)
     (mixed / "thesis.tex").write_text("mine")
     (mixed / "code" / "mylib.py").rename(mixed / "mylib.py")
-    with pytest.raises(pcbench.UserError, match=r"mixed: holds other files \(mylib.py\)"):
+    with pytest.raises(pcbench.UserError, match=r"mixed: contains other files \(mylib.py\)"):
         pcbench.run(**ASKED, out=mixed, overwrite=True)
     assert sorted(p.name for p in mixed.rglob("*.*")) == ["mylib.py", "study.toml", "thesis.tex"]
 
@@ -94,7 +94,7 @@ def test_fresh_removes_only_what_a_run_has_written(ds):
     (ds / "code").mkdir()
     (ds / "code" / "mylib.py").write_text("my = 1")
     before = content(ds)
-    with pytest.raises(pcbench.UserError, match=r"holds other files \(code/mylib.py\)"):
+    with pytest.raises(pcbench.UserError, match=r"contains other files \(code/mylib.py\)"):
         pcbench.run(**ASKED, out=ds, overwrite=True)
     assert content(ds) == before
     (ds / "code" / "mylib.py").unlink()

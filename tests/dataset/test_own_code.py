@@ -102,7 +102,7 @@ def test_a_changed_copy_is_named(here, out):
     (copy,) = (out / "code").rglob("*.py")
     copy.write_text(copy.read_text() + "\n# more\n")
     forget(here)
-    with pytest.raises(pcbench.UserError, match=r"code/\w+/mine.py: is gone or changed"):
+    with pytest.raises(pcbench.UserError, match=r"code/\w+/mine.py: is missing or changed"):
         verify.verify(out, None, 0)
 
 
@@ -135,7 +135,7 @@ def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
     assert "The gains of nudge were tuned for rmse of position" in text
     before = tables(here / "out")
     (here / "part.py").write_text("SHARE = 0.2\n")
-    found = r"out/tuning/nudge: holds another tuning \(the code of nudge: part.py has changed .*; give .* with --overwrite.$"
+    found = r"out/tuning/nudge: contains another tuning \(the code of nudge: part.py has changed .*; give .* with --overwrite.$"
     with pytest.raises(pcbench.UserError, match=found):
         pcbench.run(study, out="out")
     with pytest.raises(
@@ -144,7 +144,7 @@ def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
         pcbench.run(study | {"tuning": "published"}, out="out")
     assert tables(here / "out") == before
     (here / "part.py").write_text("SHARE = 0.1\n")
-    found = r"nudge: holds another tuning \(.*sampling_period.*expected the same study"
+    found = r"nudge: contains another tuning \(.*sampling_period.*expected the same study"
     with pytest.raises(pcbench.UserError, match=found):
         pcbench.run(study | {"scenario": study["scenario"] | {"sampling_period": 0.4}}, out="out")
 

@@ -100,7 +100,7 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
     [
         ("cart/white", "particle", ["particle: init needs", "erf_inv", "cannot be written in C"]),
         ("cart/white", "oosm-lag", ["oosm_lag: jump needs lu", "export another observer"]),
-        ("arm/sine", "pio", ["measures continuously", "take one with a sampling period"]),
+        ("arm/sine", "pio", ["measures continuously", "use one with a sampling period"]),
         (
             {"name": "two", "scenarios": ["cart/white"], "axes": {"noise_std": [0.1, 0.2]}},
             "kf",

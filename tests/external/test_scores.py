@@ -320,5 +320,5 @@ def test_an_external_estimator_enters_the_tables_marked_and_its_mistakes_are_sen
     ]
     assert means["theirs"] == pytest.approx(means["kf"], rel=1e-9)
     assert "external: one run at a time" in json.dumps(result.provenance["certificates"])
-    with pytest.raises(UserError, match="holds no draws"):
+    with pytest.raises(UserError, match="contains no draws"):
         score.run(tmp_path, f"{tmp_path}/mine.py:Filter", "theirs")

@@ -180,5 +180,5 @@ def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
     again = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)
     assert again.best == found.best
     assert again.exact
-    with pytest.raises(UserError, match="holds another tuning"):
+    with pytest.raises(UserError, match="contains another tuning"):
         pcbench.tune(STUDY, "pccebo", budget=3, out=tmp_path / "out", **how | {"exact_objective": False})

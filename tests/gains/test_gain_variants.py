@@ -205,7 +205,7 @@ def test_only_what_is_named_is_tuned_of_each_observer_that_has_it(monkeypatch):
 
 def test_a_folder_that_is_another_studys_is_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match=r"holds other files \(notes.txt\)"):
+    with pytest.raises(UserError, match=r"contains other files \(notes.txt\)"):
         pcbench.run(FAIR, out=tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 

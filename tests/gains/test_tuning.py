@@ -150,7 +150,7 @@ def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
         "seconds",
     ]
     assert history.objective.min() == min(p.value for p in whole.points)
-    with pytest.raises(UserError, match="holds another tuning"):
+    with pytest.raises(UserError, match="contains another tuning"):
         pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL | {"objective": "mae"})
     (tmp_path / "out" / "history.parquet").write_bytes(b"PAR1")
     with pytest.raises(UserError, match="is damaged"):

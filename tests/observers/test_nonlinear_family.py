@@ -198,7 +198,7 @@ def test_looking_back_within_bounds_equals_the_reference():
         (
             {"window": 19},
             {},
-            "got a window of 19 samples, longer than the horizon, in which 18 are taken; expected at most 18",
+            "got a window of 19 samples, longer than the duration, in which 18 are taken; expected at most 18",
         ),
         ({"lower": 0.0}, {"xhat0": (0.7, -0.4)}, "got bounds that leave out xhat0"),
         ({"lower": [0.0]}, {}, "lower: got .*, expected a number, or 2, one for each state"),

@@ -32,7 +32,7 @@ BAD = {
     "all delays zero": (
         PLANT | {"delay": 0.0},
         {},
-        r"got an assumed delay of 0 in every channel, expected one above 0.*take kf or pccebo",
+        r"got an assumed delay of 0 in every channel, expected one above 0.*use kf or pccebo",
     ),
     "not whole samples": (
         PLANT | {"sampling_period": 2.0},

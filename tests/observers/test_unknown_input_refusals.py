@@ -78,12 +78,12 @@ REFUSED = {
     # what the observers do not take
     "two delays": (
         own(delay=[0.02, 0.04]),
-        r"got channels with delays \(20, 40\) \(ticks\), expected one for all.*take kf",
+        r"got channels with delays \(20, 40\) \(ticks\), expected one for all.*use kf",
     ),
     "late by chance": (own(delay_jitter=0.01), r"got a delay_jitter of 0\.01 s, expected one constant delay"),
     "on the cart": (
         published("cart/nominal", "smo"),
-        r"smo in cart/nominal: the plant has no unknown input, expected .* take another",
+        r"smo in cart/nominal: the plant has no unknown input, expected .* use another",
     ),
     "on the tank": (published("csth/10s", "pio"), r"pio in csth/10s: the plant has no unknown input"),
     "paper gains elsewhere": (

@@ -68,7 +68,7 @@ def test_reasons_are_said_once_and_stay_with_the_results(tmp_path):
     assert ("left out: smo", REASON) in page._provenance(again)
 
 
-REASON = "smo in lti: the plant has no unknown input, expected a model with E [n, r], r > 0; take another observer."
+REASON = "smo in lti: the plant has no unknown input, expected a model with E [n, r], r > 0; use another observer."
 
 
 def test_without_an_observer_that_can_run_the_first_reason_is_the_sentence(monkeypatch):

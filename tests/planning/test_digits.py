@@ -89,7 +89,7 @@ def test_no_observer_is_judged_where_a_double_has_no_digits_left(observer, horiz
 def test_the_command_ends_with_the_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(serialize.to_toml(*parse.grid_of(study(["kf"], duration=9.5), {}, [])))
-    with pytest.raises(DigitsError, match="shorter horizon"):
+    with pytest.raises(DigitsError, match="shorter duration"):
         app(["run", "s.toml"], standalone_mode=False)
 
 

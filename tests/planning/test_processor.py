@@ -272,7 +272,7 @@ def test_a_speed_is_above_0(value):
 def test_commands_that_have_no_use_for_a_speed_refuse_it_in_one_sentence(tmp_path):
     with pytest.raises(UserError, match="got 2 observers with a processor_speed, expected one"):
         pcbench.simulate(having(["kf", "ekf"], processor_speed=1e3), ["kf", "ekf"])
-    with pytest.raises(UserError, match="got the axis processor_speed, of which more is better"):
+    with pytest.raises(UserError, match="got the axis processor_speed, whose larger values are better"):
         pcbench.find_limit(having(), axis="processor_speed", threshold=0.5)
     with pytest.raises(UserError, match="the arithmetic of another program is not counted"):
         export_draws.write(parse.grid_of(having(processor_speed=1e3), {}, []), tmp_path / "out")

@@ -296,7 +296,7 @@ def rooted(p, now, x):
         ({"output": lambda p, now, x: x[0]}, r"output: got an array of shape \(\), expected \(q,\)"),
         (
             {"output": nan},
-            r"output: got \[nan, nan\] at the operating point x = \[0.0, .*expected finite numbers; take another",
+            r"output: got \[nan, nan\] at the operating point x = \[0.0, .*expected finite numbers; use another",
         ),
         ({"output": rooted}, "the slope of output: got .*inf.* at the operating point"),
         (

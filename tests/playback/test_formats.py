@@ -90,7 +90,7 @@ def test_a_recording_that_is_cut_off_is_one_sentence(plain, write, share, tmp_pa
     if file.suffix == ".ulg" and share:
         assert 0 < survey(readers.open_log(path)).rows < len(plain[2].t)
         return
-    with pytest.raises(UserError, match="; expected a whole") as caught:
+    with pytest.raises(UserError, match="; expected a complete") as caught:
         survey(readers.open_log(path))
     assert str(caught.value).startswith("log.toml: run")
     assert ": ;" not in str(caught.value)
@@ -160,13 +160,13 @@ def test_damage_in_the_middle_is_not_passed_over(plain, write, tmp_path):
     data = bytearray(file.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 40] = b"\xff" * 40
     file.write_bytes(data)
-    with pytest.raises(UserError, match="expected a whole"):
+    with pytest.raises(UserError, match="expected a complete"):
         survey(readers.open_log(path))
 
 
 def test_what_is_no_flight_log_is_one_sentence(tmp_path):
     (tmp_path / "run.ulg").write_bytes(b"not a log")
-    with pytest.raises(UserError, match="expected a whole ULog"):
+    with pytest.raises(UserError, match="expected a complete ULog"):
         survey(readers.open_log(recorded.told(tmp_path, "run.ulg", ("angle", "motor"), field="x")))
 
 

@@ -276,7 +276,7 @@ def test_observers_that_have_one_variance_and_correlated_noise_are_refused(repla
     able = [name for name, entry in OBSERVERS.items() if entry.measurement_noise]
     sentence = (
         "measurements.csv on lti: got the noise of each measurement of y1, y2 and kf-alexander, expected an observer that "
-        f"uses it: {', '.join(able)}; take one of these, or leave std and variance out of the recording."
+        f"uses it: {', '.join(able)}; use one of these, or leave std and variance out of the recording."
     )
     with pytest.raises(UserError) as caught:
         pcbench.replay(folder, PLANT, ["kf", "kf-alexander"])

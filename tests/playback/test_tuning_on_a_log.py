@@ -192,7 +192,7 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
     assert (said["points"], said["gain"], said["kept_start"]) == (len(whole.points), whole.gain, "")
     assert said["held_out"]["tuned"]["nis"] == whole.held_out["tuned"]["nis"]
     recording(tmp_path / "log", 2)
-    with pytest.raises(UserError, match="holds another tuning"):
+    with pytest.raises(UserError, match="contains another tuning"):
         tune_log(tmp_path / "log", tmp_path / "lag.toml", "kf", out=tmp_path / "tuned")
 
 

@@ -49,8 +49,8 @@ WRONG = {
     "doubled": ([*RISING[:9], *RISING[8:]], "does not rise in 1 row: sort"),
     "reversed": (RISING[::-1], "does not rise in 39 rows"),
     "empty": ([*RISING[:9], None, None, *RISING[11:]], "is empty in 2 rows: remove them"),
-    "durations": ([f"PT{t}S" for t in RISING], "holds text that is no time"),
-    "zone by its name": ([f"2026-03-01 12:00:{t:06.3f} CEST" for t in RISING], "holds text that is no time"),
+    "durations": ([f"PT{t}S" for t in RISING], "contains text that is not a time"),
+    "zone by its name": ([f"2026-03-01 12:00:{t:06.3f} CEST" for t in RISING], "contains text that is not a time"),
 }
 
 
@@ -83,7 +83,10 @@ def test_blanks_within_a_date_separate_no_columns(zone, tmp_path):
     log = two_columns(tmp_path, [zone] * len(RISING), " ")
     (found,) = contents.contents(log)
     assert (found.stamp, found.topic.numbers) == ("t", ["y"])
-    assert found.problem == "column 't' holds text that is no time, expected seconds or ISO 8601; convert its values."
+    assert (
+        found.problem
+        == "column 't' contains text that is not a time, expected seconds or ISO 8601; convert its values."
+    )
     with pytest.raises(
         UserError, match=rf"t: got '2026-03-01 12:00:00.000 {re.escape(zone)}', expected numbers, or times"
     ):

@@ -286,8 +286,8 @@ def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp
 def test_a_folder_without_results_is_one_sentence(tmp_path):
     done = call("report", str(tmp_path))
     assert done.returncode == 2
-    assert "holds no study.toml" in done.stderr
-    with pytest.raises(UserError, match="holds no study"):
+    assert "contains no study.toml" in done.stderr
+    with pytest.raises(UserError, match="contains no study"):
         pcbench.open_result(tmp_path)
 
 

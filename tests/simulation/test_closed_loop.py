@@ -216,7 +216,7 @@ SAMPLES = "expected one schedule for all runs"
         ("helicopter/constant", ["options.scenario.input=sine"], ["options.scenario.path"]),
         ("helicopter/constant", ["observers=['kf']"], ["nonlinear", "high-gain, ", " ekf, "]),
         ("cart/white", ["options.scenario.feedforward=true"], ["no controller"]),
-        ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "take ekf"]),
+        ("cart/white", ["observers=['high-gain']"], ["high-gain in cart/white", "use ekf"]),
     ],
     ids=lambda v: v[0] if isinstance(v, list) else v,
 )  # fmt: skip

@@ -50,7 +50,7 @@ def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
 def test_of_it_there_is_no_bound_and_no_exact_answer():
     assert "rms_efficiency" not in set(pcbench.run(tailed(3.0), seeds=2).stats.metric)
     (why,) = set(pcbench.exact_moments(tailed(3.0)).stats.reason.dropna())
-    assert "noise is Student's t with 3 degrees, which is not normal; take runs for it" in why
+    assert "noise is Student's t with 3 degrees, which is not normal; use runs for it" in why
 
 
 REFUSED = [

@@ -51,7 +51,7 @@ def test_of_what_is_not_normal_there_is_no_bound_and_no_exact_answer():
     assert "rms_efficiency" not in set(result.stats.metric)
     assert "rms_efficiency" in set(pcbench.run(PLAIN, seeds=2).stats.metric)
     (why,) = set(pcbench.exact_moments(odd()).stats.reason.dropna())
-    assert "30 % are outliers, whose noise is not normal; take runs for it" in why
+    assert "30 % are outliers, whose noise is not normal; use runs for it" in why
 
 
 REFUSED = [

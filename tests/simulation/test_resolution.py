@@ -83,7 +83,7 @@ def test_of_it_there_is_no_bound_and_no_exact_answer_and_a_run_among_others_is_t
         assert runs.loc[(seed, "a"), "final_error"] == pytest.approx((trace["a"] - trace["kf.a"])[59], rel=1e-9)
     assert "rms_efficiency" not in set(pcbench.run(rounded([0.5]), seeds=2).stats.metric)
     (why,) = set(pcbench.exact_moments(rounded([0.5])).stats.reason.dropna())
-    assert "has samples that are rounded, which is not affine in what is measured; take runs for it" in why
+    assert "has samples that are rounded, which is not affine in what is measured; use runs for it" in why
 
 
 REFUSED = [

@@ -170,7 +170,7 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
     assert "closed loop has the eigenvalue" in sentence
     with (
         pytest.warns(UserWarning, match="law does not stabilise"),
-        pytest.raises(pcbench.UserError, match="holds other files"),
+        pytest.raises(pcbench.UserError, match="contains other files"),
     ):
         pcbench.run(STUDY | {"controller": LAW | {"kp": -40.0}}, out=here)
     assert not parse.stability_warnings(parse.grid_of(STUDY | {"controller": LAW}, {}, []))

@@ -361,7 +361,7 @@ BROKEN = {
         r"Assumption 2, \(C, A\) observable, .* got rank 3 of .* at the mode lam = -?0, expected 4",
     ),
     "discrete": (MODEL._replace(discrete=True), "got a discrete model, expected x' = A x"),
-    "no E": (MODEL._replace(E=None), "the plant has no unknown input, .* take another observer"),
+    "no E": (MODEL._replace(E=None), "the plant has no unknown input, .* use another observer"),
     "empty E": (MODEL._replace(E=np.zeros((4, 0))), "the plant has no unknown input"),
 }
 

@@ -177,7 +177,7 @@ def design(context: DesignContext, options: linear_filter.Options, name: str, pa
         if model.discrete and np.linalg.cond(A) > SINGULAR:
             raise UserError(
                 f"{name} in {context.scenario}: got a discrete model whose A is singular, expected one that can be run "
-                "backwards: it retrodicts; take kf or kf-cloning."
+                "backwards: it retrodicts; use kf or kf-cloning."
             )
         back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
         reverse = model._replace(A=back)

@@ -162,11 +162,11 @@ def room(context: DesignContext, name: str) -> Room:
     if context.error:
         raise UserError(
             f"{name} in {context.scenario}: got an assumed_delay_error of {context.error * context.dt:g} s, expected 0: it "
-            "clones the state when a sample is taken and does not use its timestamp; leave it out, or take kf."
+            "clones the state when a sample is taken and does not use its timestamp; leave it out, or use kf."
         )
     if context.flight > MAX_CLONES:
         raise UserError(
             f"{name} in {context.scenario}: got up to {context.flight} samples in transit at once, expected at most "
-            f"{MAX_CLONES}: each has a copy of the state; take a longer sampling period, a shorter delay, or kf."
+            f"{MAX_CLONES}: each has a copy of the state; use a longer sampling period, a shorter delay, or kf."
         )
     return np.zeros(context.flight)

@@ -96,7 +96,7 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
     if model.E is not None or np.any(model.feedthrough):
         raise UserError(
             f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
-            f"x' = A x + B u, y = C x, in which only the delay is unknown; leave {name} out, or take kf."
+            f"x' = A x + B u, y = C x, in which only the delay is unknown; leave {name} out, or use kf."
         )
     if not options.stamps and len(set(context.delay)) > 1:
         delays = ", ".join(f"{d * dt:g}" for d in context.delay)
@@ -113,7 +113,7 @@ def design(context: DesignContext, options: Options, name: str) -> Gains:
         limit = min(MAX_TICKS, context.ticks) * dt
         raise UserError(
             f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {limit:g} s, "
-            "over which every arrival propagates; write longest, or take a longer tick."
+            "over which every arrival propagates; write longest, or use a longer tick."
         )
     Phi, Gamma = linear.one_tick(model, dt)
     q = assumed_noise.input_intensity(options.q, model.B.shape[1], context.input_intensity, where)

@@ -166,7 +166,7 @@ def require_one_delay(context: DesignContext, where: str) -> None:
     if len(set(context.delay)) > 1:
         raise UserError(
             f"{where}: got channels with delays {context.delay} (ticks), expected one for all, because it estimates the "
-            "state of one delay ago; give equal delays, or take kf."
+            "state of one delay ago; give equal delays, or use kf."
         )
 
 
@@ -175,7 +175,7 @@ def require_short_tick(context: DesignContext, gain: float, gain_name: str, wher
     if gain * context.dt > STABLE:
         raise UserError(
             f"{where}: got a gain {gain_name} of {gain:.3g} 1/s with a tick of {context.dt:g} s, expected their product below "
-            f"{STABLE:g}, as a Runge-Kutta step needs; take a tick of at most {STABLE / gain:.2g} s, or other options."
+            f"{STABLE:g}, as a Runge-Kutta step needs; use a tick of at most {STABLE / gain:.2g} s, or other options."
         )
 
 
