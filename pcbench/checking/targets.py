@@ -22,7 +22,7 @@ STUDY = "study"
 def kind_of(target: str) -> str:
     """Return the kind of MODULE:NAME, or `study`; raise UserError if it has no kind, or does not exist.
 
-    A study is a TOML file, a built-in study, or a published scenario.
+    A study is a TOML file, a built-in study, or a built-in scenario.
     """
     if target.endswith(".toml") or target in STUDIES or target in SCENARIOS:
         return STUDY

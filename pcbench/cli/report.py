@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pcbench.cli.options import RANK, Folder, Journal, Json, Metric, Quiet, Signals
+from pcbench.cli.options import RANK, Folder, Journal, Json, Metric, PageFolder, Quiet, Signals
 from pcbench.cli.shared import (
     argument,
     console,
@@ -25,7 +25,7 @@ ALL_PAPERS = "all"
 
 
 def report(
-    folder: Folder,
+    folder: PageFolder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
     figures: Annotated[str | None, option("Folder for the figures as files, instead of the page")] = None,
     formats: Annotated[

@@ -33,7 +33,7 @@ QUESTIONS = {  # of each study, as a question
     "outage": "How far does the error grow during an outage?",
     "send-on-delta": "How does the error depend on the number of messages (send on delta)?",
     "processor": "On which processor is a particle filter worse than a Kalman filter?",
-    "all": "Which observer is best in each published scenario?",
+    "all": "Which observer is best in each built-in scenario?",
     "variable-sampling": "How much do a variable period, jitter and loss cost?",
 }
 PERIODS = (0.5, 1.0, 1.5, 1.7, 1.8)  # s: the loop of `ncs-two-state` is stable below 1.72941

@@ -118,7 +118,7 @@ def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
     observers = tuple(values.get("observers", ()))
     if table.base is not None:
         if table.base not in SCENARIOS:
-            raise unknown(f"{where}.base", "published scenario", table.base, SCENARIOS)
+            raise unknown(f"{where}.base", "built-in scenario", table.base, SCENARIOS)
         base = SCENARIOS[table.base]
         return base._replace(
             summary=values.get("summary", f"{base.name}, changed"),
@@ -127,7 +127,7 @@ def _base(table: ScenarioTable, values: TomlTable, where: str) -> Scenario:
         )
     for key in REQUIRED:
         if key not in values:
-            raise UserError(f"{where}: {key} is missing; write {key} = ..., or base = a published scenario.")
+            raise UserError(f"{where}: {key} is missing; write {key} = ..., or base = a built-in scenario.")
     return Scenario(
         name="",
         summary=values.get("summary", "a user's scenario"),

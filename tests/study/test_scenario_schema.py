@@ -61,7 +61,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
     ("table", "sentence"),
     [
         (WHITE | {"noise": 0.1}, r"^mine.toml: scenario: 'noise' is no key here; did you mean 'noise_std'\?"),
-        ({"base": "cart/whit"}, "scenario.base: 'cart/whit' is no published scenario; did you mean 'cart/white'"),
+        ({"base": "cart/whit"}, "scenario.base: 'cart/whit' is no built-in scenario; did you mean 'cart/white'"),
         ({"plant": "cart", "x0": [1.0, 0.0]}, "scenario: sampling_period is missing; write sampling_period = ..."),
         (WHITE | {"plant": "kart"}, "scenario.plant: 'kart' is no plant .*; did you mean 'cart'"),
         (

@@ -126,7 +126,7 @@ def collect_scenarios(raw: TomlTable, where: str, folder: Path | None, gate: Gat
                 table = _apply_base(table, place, folder, gate)
             if table and name in tables:
                 raise UserError(f"{place}: got two scenarios called '{name}', expected one; write [scenarios.ANOTHER].")
-            tables |= {name: table} if table else {}  # a published scenario has no table
+            tables |= {name: table} if table else {}  # a built-in scenario has no table
         names.append(name)
     scenario = raw.get("scenario")
     if isinstance(scenario, dict) and _is_user_scenario(scenario.get("base")):
