@@ -1,6 +1,6 @@
 """The observers, one file each, and dicts of them by name."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
@@ -46,7 +46,7 @@ from pcbench.observers import (
     super_twisting,
     ukf,
 )
-from pcbench.observers.methods import METHODS, Method
+from pcbench.observers.methods import ACRONYMS, METHODS, Method
 from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, DesignContext
 
@@ -195,6 +195,11 @@ def base_of(label: str) -> str | None:
     names = [name for name in OBSERVERS if label.startswith(name + "-")]
     is_valid = label.isprintable() and len(label) <= MAX_LABEL_LENGTH
     return max(names, key=len, default=None) if is_valid else None
+
+
+def acronyms(labels: Iterable[str]) -> dict[str, str]:
+    """Return the papers' acronyms among the observers of these labels, in their order, spelled out."""
+    return {base: ACRONYMS[base] for label in labels if (base := base_of(label) or "") in ACRONYMS}
 
 
 def entry_of(label: str) -> ObserverSpec:

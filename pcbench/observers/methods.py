@@ -23,6 +23,14 @@ FILTER = f"{AGES}, the variances of measurement and process noise, and the prior
 DELAY_PRIOR = "the model, a prior of the delay, the noise variances, and the prior of the initial state"
 UNKNOWN_INPUT = "a linear model with an unknown input, one constant delay, and a bound"
 
+ACRONYMS = {  # of the papers, which the legend of a table spells out
+    "pccebo": "piecewise continuous and current estimator-based observer",
+    "kfbo": "Kalman-filter-based observer",
+    "pco": "piecewise continuous observer",
+    "pi-pco": "proportional-integral piecewise continuous observer",
+    "smo": "sliding-mode observer",
+    "pio": "proportional-integral observer",
+}
 METHODS = {
     "pccebo": Method(
         "Piecewise continuous observer with a current estimator",

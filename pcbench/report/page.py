@@ -20,6 +20,7 @@ from pcbench.dataset import storage
 from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
+from pcbench.observers import acronyms
 from pcbench.plots import frames
 from pcbench.plots.labels import inline, with_unit
 from pcbench.report import captions, explorer, figures, headline, summary
@@ -109,6 +110,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
     descriptions = MEANING | explorer.OF_STATS | {summary.LOOP: LOOP}
     meaning = {m: descriptions.get(m, "") for m in (options.metric, *ALWAYS)}
     present = {options.metric, *result.stats.metric}
+    spelled_out = acronyms(map(str, result.stats.observer.unique()))
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
     header = f"# made with pcbench {release.get('pcbench', '')}"
     header += f", commit {commit['commit']}" if commit.get("commit") else ""
@@ -137,7 +139,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         command="\n".join([header, run, "pcbench report again"]),
         study=tomli_w.dumps(as_dict(result.study)).strip(),
         provenance=_provenance(result),
-        meaning=[*((m, words) for m, words in meaning.items() if m in present), *WORDS.items()],
+        meaning=[*((m, words) for m, words in meaning.items() if m in present), *spelled_out.items(), *WORDS.items()],
         numbers=explorer.numbers(result, options.metric),
     )
 

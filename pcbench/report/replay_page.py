@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pcbench.errors import unknown
+from pcbench.observers import acronyms
 from pcbench.plots import replay_frames, replays
 from pcbench.plots.layout import PAPER, Paper, number
 from pcbench.plots.palette import styles
@@ -66,7 +67,7 @@ def page(r: Replay, signals: list[str] | None = None) -> str:
         remarks=recording["notes"],
         sections=parts,
         colours={observer: style.colour for observer, style in styles(r.observers).items()},
-        meaning=list(MEANING.items()),
+        meaning=[*acronyms(r.observers).items(), *MEANING.items()],
     )
 
 

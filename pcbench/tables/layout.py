@@ -11,6 +11,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from pcbench.dataset.result import Result
+from pcbench.observers import acronyms
 from pcbench.plots import frames
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.limit_verdicts import COUNTS
@@ -82,6 +83,8 @@ class Table(NamedTuple):
                 notes += ["An observer that diverges significantly more often than the best is not bold."]
         if any(words[-1].endswith(MARK) for words, _ in self.rows):
             notes += ["Asterisk: no certificate for its gains."]
+        names = acronyms(words[-1].removesuffix(MARK).strip() for words, _ in self.rows)
+        notes += [f"{name}: {text}." for name, text in names.items()]
         return notes
 
 

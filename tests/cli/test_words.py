@@ -179,3 +179,9 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
     assert [line.split("  ")[0] for line in both][1:4] == ["exact numbers", "planning", "computing"]
     assert both[-1].endswith("8 runs")
     assert len(said(Cost(runs=8))) == len(both) - 1
+
+
+def test_table_spells_out_acronyms_of_papers_once():
+    text = printed(lambda screen: screen.say_acronyms(["kf", "pccebo-riccati", "pccebo", "smo"]))
+    assert text == "pccebo: piecewise continuous and current estimator-based observer; smo: sliding-mode observer.\n"
+    assert not printed(lambda screen: screen.say_acronyms(["kf", "model-only"]))

@@ -14,7 +14,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
     """Print the largest sufficient value for each observer."""
     summary, rows = table.attrs, table.to_dict("records")
     unit, axis_unit = (f" [{summary[k]}]" if summary[k] not in ("", "1") else "" for k in ("unit", "over_unit"))
-    metric = f"there\n{summary['metric']}{unit}"
+    metric = f"at this value\n{summary['metric']}{unit}"
     means, means_beyond = (
         [estimate(r[f"{at}mean"], r[f"{at}ci_low"], r[f"{at}ci_high"]) for r in rows] for at in ("", "exceeds_")
     )
@@ -31,6 +31,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
     screen.fit(f"{title} from {low:g} to {high:g}", columns)
     special_rows = [row for row in rows if row["answer"] != PLAIN or row["sentence"].count("; ") > 1]
     screen.say(*(f"{row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"])
+    screen.say_acronyms(table.observer)
 
 
 def frontier(table: pd.DataFrame, screen: Screen) -> None:
@@ -49,6 +50,7 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
     screen.say(
         *(f"{first} = {row[first]:g}, {row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"]
     )
+    screen.say_acronyms(table.observer)
 
 
 def _largest(row: Mapping[Hashable, object]) -> str:

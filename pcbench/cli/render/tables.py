@@ -56,6 +56,13 @@ class Screen(Console):
         if mark_uncertified("", certified):
             self.print(f"{UNPROVEN} its gains.")
 
+    def say_acronyms(self, labels: Iterable[str]) -> None:
+        """Spell out the papers' acronyms among observers, if there are any."""
+        from pcbench.observers import acronyms
+
+        if names := [f"{name}: {text}" for name, text in acronyms(labels).items()]:
+            self.print(f"{'; '.join(names)}.")
+
     def fit(
         self, title: str, columns: list[Column], sections: list[int] | None = None, named: bool = True
     ) -> list[str]:
