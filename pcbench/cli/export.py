@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Annotated
 
 from pcbench.cli.interrupts import stop_if_interrupted
-from pcbench.cli.options import RANK, Folder, Late, Metric, Quiet, Set, Signals, Start, Study
+from pcbench.cli.options import RANK, DrawsFolder, Late, Metric, Quiet, Set, Signals, Start, Study
 from pcbench.cli.shared import argument, console, names, option, out, parse_signals, say, setup, show_progress
 from pcbench.errors import UserError
 from pcbench.toml_text import TomlTable
@@ -88,7 +88,7 @@ def prepare(
 
 
 def score(
-    folder: Folder,
+    folder: DrawsFolder,
     estimates: Annotated[str, argument("Parquet or CSV file with one row per tick of each run")],
     name: Name,
     metric: Metric = RANK,
@@ -108,7 +108,7 @@ def score(
 
 
 def run(
-    folder: Folder,
+    folder: DrawsFolder,
     reference: Annotated[str, argument("Function make(cell, xhat0), such as mine.py:make", metavar="MODULE:NAME")],
     name: Name,
     metric: Metric = RANK,

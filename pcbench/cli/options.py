@@ -14,6 +14,7 @@ Set = Annotated[
     option("Change of the study, such as axes.noise_std=0.1 (repeatable)", "--set", metavar="KEY=VALUE"),
 ]
 Folder = Annotated[str, argument("Folder or URI of a result of pcbench run")]
+DrawsFolder = Annotated[str, argument("Folder that pcbench external prepare has written")]
 PageFolder = Annotated[str, argument("Folder or URI of a result of pcbench run, or of pcbench replay")]
 Study = Annotated[str, argument("Study, scenario or TOML file")]
 Scenario = Annotated[str, argument("Name of a scenario, or TOML file")]

@@ -39,7 +39,7 @@ def info(
     toml: Annotated[bool, option("Print a TOML file to start from, which maps fields to channels", "--toml")] = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording contains: rates, gaps, delays, lags, out-of-order or repeated samples, clock skew.
+    """Show what a recording contains: rates, gaps, delays, lags, out-of-sequence or repeated samples, clock skew.
 
     For a file without a TOML file it prints topics, fields, counts, rates and ranges.
 

@@ -137,8 +137,7 @@ def tune(
 
     With --log, tune its noise intensities on a recording. With --find-delay, find the delays of its channels too.
 
-    Example: pcbench tune cart/gaussian pccebo --objective steady_rmse --out tuned
-    Example: pcbench tune motor.toml kf --log flight --find-delay --out tuned
+    Examples: pcbench tune cart/white pccebo --out tuned;  pcbench tune motor.toml kf --log flight --find-delay --out tuned
     """
     setup()
     from pcbench.cli.render import gains
