@@ -65,15 +65,15 @@ def as_study(study: Study, cell: Cell, observer: str, design: Design) -> TomlTab
     if numbers := _as_options(entry.options, options, design):
         with_numbers = {k: v for k, v in values.items() if k != _method_option(entry)} | numbers
         values = _recertify(study, cell, observer, with_numbers) or values
-    proof: TomlTable = {"inequality": c.inequality, "margin": c.margin, "solver": c.solver, "status": c.status}
-    proof |= {"fallback": c.fallback, "decay_rate": c.rate, "certified": is_certified(c._asdict())}
+    certificate: TomlTable = {"inequality": c.inequality, "margin": c.margin, "solver": c.solver, "status": c.status}
+    certificate |= {"fallback": c.fallback, "decay_rate": c.rate, "certified": is_certified(c._asdict())}
     for key in ("margin", "decay_rate"):
-        proof[key] = float(proof[key]) if np.isfinite(proof[key]) else "none"
+        certificate[key] = float(certificate[key]) if np.isfinite(certificate[key]) else "none"
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
     other_options = {k: v for k, v in raw.pop("options", {}).items() if k != observer}
     raw |= {"options": other_options | {observer: values}} if other_options or values else {}
-    return raw | {"resolved": {"certificate": {k: v for k, v in proof.items() if v is not None}}}
+    return raw | {"resolved": {"certificate": {k: v for k, v in certificate.items() if v is not None}}}
 
 
 def to_toml(table: TomlTable) -> str:

@@ -49,10 +49,12 @@ def design(context: DesignContext, options: Options) -> Design:
     if np.isfinite(radius_with_delays):  # not computed for a delay that is too long
         numbers["radius_with_these"] = radius_with_delays
     inequality = "radius of A - K C < 1, delays ignored"
-    proof = require_certified(Certificate(inequality, 1 - radius, "poles", "computed", numbers), where)
+    certificate = require_certified(Certificate(inequality, 1 - radius, "poles", "computed", numbers), where)
     if radius_with_delays < 1:
-        proof = proof._replace(rate=rate_of(radius_with_delays, plant.period * context.dt))
+        certificate = certificate._replace(rate=rate_of(radius_with_delays, plant.period * context.dt))
     else:
         text = f"{radius_with_delays:.4g}, not below 1" if np.isfinite(radius_with_delays) else "not computed"
-        proof = no_certificate(f"designed without delays; the radius with these is {text}")._replace(numbers=numbers)
-    return Design(assumed_age.gains_of(context, plant.A, K, ages), proof)
+        certificate = no_certificate(f"designed without delays; the radius with these is {text}")._replace(
+            numbers=numbers
+        )
+    return Design(assumed_age.gains_of(context, plant.A, K, ages), certificate)

@@ -123,8 +123,8 @@ def design(context: DesignContext, options: Proportional) -> Design:
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
     dimensions = "unmeasured states x outputs"
     matrices = [matrix(value, shape, f"{where}: {name}", dimensions) for name, value in by_option.items()]
-    Kp, Ki, proof = reduced_order.design(plant, matrices, integral, options.decay, where)
-    certificate = require_certified(proof, where)
+    Kp, Ki, certificate = reduced_order.design(plant, matrices, integral, options.decay, where)
+    require_certified(certificate, where)
     motion = prediction.motion_of(context.model, context)
     gains = Gains(
         motion=motion,

@@ -53,10 +53,10 @@ def design(context: pcbench.DesignContext, options: Options) -> pcbench.Design:
     """
     Phi, Gamma = pcbench.discretize_zoh(context.model.A, context.model.B, context.dt)
     C = context.model.C
-    late = context.delay[0] // context.period[0]  # error of the measured output: e_i = e_(i-1) - share e_(i-1-late)
-    poles = np.roots([1, -1] + [0] * (late - 1) + [options.share] if late else [1, options.share - 1])
-    proof = pcbench.Certificate("|z| < 1 of the measured error", 1 - max(abs(poles)), "roots", "solved")
-    return pcbench.Design(Gains(Phi, Gamma, C, options.share * C.T), pcbench.require_certified(proof, "NAME"))
+    d = context.delay[0] // context.period[0]  # error of the measured output: e_i = e_(i-1) - share e_(i-1-d)
+    poles = np.roots([1, -1] + [0] * (d - 1) + [options.share] if d else [1, options.share - 1])
+    certificate = pcbench.Certificate("|z| < 1 of the measured error", 1 - max(abs(poles)), "roots", "solved")
+    return pcbench.Design(Gains(Phi, Gamma, C, options.share * C.T), pcbench.require_certified(certificate, "NAME"))
 
 
 def init(gains: Gains, xhat0: Array) -> Array:

@@ -257,8 +257,8 @@ def design(
     predicts_input = True if len(inputs) else None
     Q_numbers = assumed_noise.covariance_option("Q", assumed_noise.process_covariance(context, options.Q, where))
     if reason:
-        proof = no_certificate(reason)._replace(numbers={"R": gains.R, "q": q, **Q_numbers})
-        return Design(gains, proof, predicts_input)
-    proof = kalman.certificate(gains, model, Q, context)
-    proof = proof._replace(numbers={**proof.numbers, "q": q, **Q_numbers})
-    return Design(gains, require_certified(proof, where), predicts_input)
+        certificate = no_certificate(reason)._replace(numbers={"R": gains.R, "q": q, **Q_numbers})
+        return Design(gains, certificate, predicts_input)
+    certificate = kalman.certificate(gains, model, Q, context)
+    certificate = certificate._replace(numbers={**certificate.numbers, "q": q, **Q_numbers})
+    return Design(gains, require_certified(certificate, where), predicts_input)

@@ -232,5 +232,5 @@ def design(
     )
     numbers = {"R": R, **assumed_noise.covariance_option("Q", process)}
     inequality = "none: the model is nonlinear, or linearised at the estimate"
-    proof = Certificate(inequality, float("inf"), "none", "not needed", numbers)
-    return Design(gains._replace(extra=extra(gains)), proof, True if context.model.E is not None else None)
+    certificate = Certificate(inequality, float("inf"), "none", "not needed", numbers)
+    return Design(gains._replace(extra=extra(gains)), certificate, True if context.model.E is not None else None)
