@@ -69,16 +69,16 @@ def test_a_sample_in_order_costs_two_steps_if_the_state_after_the_newest_is_stor
     assert count_multiplications(replay, line, sample_of(taken, 6)) == products
 
 
-def test_a_copy_is_made_between_the_samples_around_it():
+@pytest.mark.parametrize("room", [(4,), (4, 1)])
+def test_a_copy_is_made_between_the_samples_around_it(room):
     """In order and out of it, with and without the state after the newest sample."""
-    arrivals, late = [(3, 1), (5, 2), (9, 3), (12, 4)], lambda state, sample: state * BASE + 6.0
+    line, copy = reorder_buffer.start(jnp.asarray(0.0), np.zeros(room), 1, 0), lambda state, sample: state * BASE + 6.0
+    replay = jax.jit(partial(reorder_buffer.replay, digits))
+    for arrival in [(3, 1), (5, 2), (9, 3), (12, 4)]:
+        line, _ = replay(line, sample_of(*arrival))
+    with_copy = jax.jit(partial(reorder_buffer.newest_with_copy, digits, copy))
     for taken, expected in ((13, "12346"), (12, "12346"), (10, "12364"), (1, "61234")):
-        for room in ((4,), (4, 1)):
-            line = reorder_buffer.start(jnp.asarray(0.0), np.zeros(room), 1, 0)
-            for arrival in arrivals:
-                line, _ = reorder_buffer.replay(digits, line, sample_of(*arrival))
-            state = reorder_buffer.newest_with_copy(digits, late, line, sample_of(taken, 5))
-            assert float(state) == int(expected, 7), (taken, room)
+        assert float(with_copy(line, sample_of(taken, 5))) == int(expected, 7), taken
 
 
 @pytest.mark.ci
