@@ -17,7 +17,7 @@ from pcbench.errors import UserError
 
 distributed = pytest.importorskip("distributed")
 STUDY = {"name": "shared", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "seeds": 600, "root_seed": 3}
-SMALL = {"block": 25}
+SMALL = {"block_size": 25}
 
 
 @pytest.fixture(scope="module")
