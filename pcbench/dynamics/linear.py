@@ -66,6 +66,11 @@ def _exponential(A: Matrix, h: float) -> Matrix:
     return out
 
 
+def spectral_radius(M: Matrix) -> float:
+    """Return the largest absolute value of an eigenvalue of M [n, n], or of several matrices [..., n, n]."""
+    return float(np.abs(np.linalg.eigvals(M)).max())
+
+
 def one_tick(model: Model, h: float) -> tuple[Matrix, Matrix]:
     """Return Phi and Gamma of one tick of h seconds, exactly: x(t + h) = Phi x(t) + Gamma u."""
     return (model.A, model.B) if model.discrete else discretize_zoh(model.A, model.B, h)

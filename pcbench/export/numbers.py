@@ -11,6 +11,7 @@ from jaxtyping import PyTree
 from pcbench.dynamics import linear
 from pcbench.export import observer_to_c, structs
 from pcbench.export.c_files import About
+from pcbench.json_values import json_values
 from pcbench.synthesis.certificate import Certificate, DesignContext
 
 
@@ -38,8 +39,8 @@ def describe_gains(
 
 
 def as_json(description: Mapping[str, object]) -> str:
-    """Return a description as JSON; numbers that are not finite become strings, because JSON has none."""
-    return json.dumps(_json_value(description), indent=2) + "\n"
+    """Return a description as JSON."""
+    return json.dumps(json_values(description), indent=2) + "\n"
 
 
 def as_mat(description: Mapping[str, object]) -> bytes:
@@ -50,16 +51,6 @@ def as_mat(description: Mapping[str, object]) -> bytes:
     content = {name: _to_matlab(value) for name, value in description.items() if value is not None}
     savemat(cast(Any, out), content, long_field_names=True)  # scipy's types know no open file
     return out.getvalue()
-
-
-def _json_value(x: object) -> object:
-    if isinstance(x, dict):
-        return {str(k): _json_value(v) for k, v in x.items()}
-    if isinstance(x, list | tuple):
-        return [_json_value(v) for v in x]
-    if isinstance(x, np.ndarray | np.generic):
-        return _json_value(x.tolist())
-    return x if not isinstance(x, float) or np.isfinite(x) else str(x)
 
 
 def _to_matlab(x: object) -> object:

@@ -19,11 +19,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from pcbench.dynamics.linear import spectral_radius
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_age
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.observers.parts.sample_rate import Pole
-from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.pole_placement import by_poles
@@ -48,7 +48,7 @@ def design(context: DesignContext, options: Options) -> Design:
     d, A = options.delay or max(min(plant.tau), 1), plant.A
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
-        rate = chain.radius(Ad - K @ plant.C) ** (1 / d)
+        rate = spectral_radius(Ad - K @ plant.C) ** (1 / d)
         gains = assumed_age.gains_of(context, Ad, K, (d,) * len(plant.tau), back=d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)

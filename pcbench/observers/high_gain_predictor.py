@@ -17,13 +17,13 @@ Not claimed: convergence on a nonlinear plant, at varying intervals or with dela
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.dynamics.observability import require_observable
 from pcbench.errors import UserError
 from pcbench.observers.parts import held_innovation
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate
-from pcbench.synthesis.constant_periods import predictor_map, spectral_radius
+from pcbench.synthesis.constant_periods import predictor_map
 from pcbench.synthesis.error_bounds import rate_of
 
 OBSERVER = held_innovation.OBSERVER

@@ -19,7 +19,7 @@ import itertools
 import numpy as np
 from pydantic import Field
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.dynamics.observability import require_detectable
 from pcbench.errors import UserError
 from pcbench.observers.parts import held_innovation
@@ -61,7 +61,7 @@ def design(context: DesignContext, options: Options) -> Design:
     scale = riccati.nearest_scale(riccati.prior_size(context))
     L, certificate = held_lmi.design(task, option_L, scale, where)
     mean = max(context.period) * context.dt
-    radius = max(constant_periods.spectral_radius(constant_periods.held_map(A, L, model.C, mean)) for A in task.A)
+    radius = max(spectral_radius(constant_periods.held_map(A, L, model.C, mean)) for A in task.A)
     numbers = dict(certificate.numbers) | {"radius_at_mean_period": radius}
     certificate = certificate._replace(numbers=numbers)
     if any(context.delay):

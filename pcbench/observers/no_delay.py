@@ -18,10 +18,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from pcbench.dynamics.linear import spectral_radius
 from pcbench.observers.parts import assumed_age
 from pcbench.observers.parts.options import StrictOptions, tunable
 from pcbench.observers.parts.sample_rate import Pole
-from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, DesignContext, no_certificate, require_certified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.pole_placement import by_poles
@@ -44,7 +44,7 @@ def design(context: DesignContext, options: Options) -> Design:
     where, plant = f"no-delay in {context.scenario}", sample_plant(context, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
-    radius, radius_with_delays = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
+    radius, radius_with_delays = spectral_radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
     numbers = {"K": K, "radius_without_delays": radius}
     if np.isfinite(radius_with_delays):  # not computed for a delay that is too long
         numbers["radius_with_these"] = radius_with_delays

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.errors import UserError
+from pcbench.json_values import json_values
 from pcbench.planning import all_observers
 from pcbench.plants import estimated_of, output_units, outputs_of_states, signals_of
 from pcbench.playback import innovation_tests, replay_metrics, smoother, step_block, stream
@@ -125,7 +126,7 @@ def _likelihoods(axes: list[str], results: list[tuple[TomlTable, ReplayResult]],
     if out is not None:
         replay_metrics.write_summary(out, summary)
     empty = pd.DataFrame()
-    return ReplayResult(innovations, empty, empty, None, replay_metrics.json_values(summary), channels)
+    return ReplayResult(innovations, empty, empty, None, json_values(summary), channels)
 
 
 def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
@@ -286,6 +287,6 @@ def _results(
         distances=distances,
         metrics=metrics if passage.scores else pd.DataFrame(),
         estimates=estimates,
-        summary=replay_metrics.json_values(summary),
+        summary=json_values(summary),
         channels=pd.DataFrame(channels),
     )

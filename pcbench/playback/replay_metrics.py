@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from pcbench.dataset import storage
 from pcbench.dataset.columns import SCHEMA, unit_of
 from pcbench.errors import UserError
+from pcbench.json_values import json_values
 from pcbench.planning import digits
 from pcbench.playback.step_block import Score
 from pcbench.recordings.log import Floats, Ints
@@ -181,17 +182,6 @@ def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
             table = parquet.read_row_group(i, use_threads=False)
             yield first, table
             first += len(table)
-
-
-def json_values(value: Any, nulls: bool = True) -> Any:
-    """Return a summary as JSON values, NaN as null; without `nulls` it is left out of tables."""
-    if isinstance(value, dict):
-        out = {str(key): json_values(entry, nulls) for key, entry in value.items()}
-        return {key: entry for key, entry in out.items() if nulls or entry is not None}
-    if isinstance(value, list | tuple):
-        return [json_values(entry, nulls) for entry in value]
-    scalar = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(scalar, float) and not np.isfinite(scalar) else scalar
 
 
 def metrics_table(scores: dict[str, Score], signals: Signals, dt: float, tail: int) -> pd.DataFrame:

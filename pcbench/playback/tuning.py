@@ -21,11 +21,11 @@ from pcbench.gains import parameters, tune
 from pcbench.gains.history import REFIT, TUNED, Evaluation, History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.gains.validation import MAX_WORSE
+from pcbench.json_values import json_values
 from pcbench.observers import ObserverSpec
 from pcbench.playback import delay_profile, delay_search, innovation_tests, likelihood
 from pcbench.playback.delay_search import ChannelDelay
 from pcbench.playback.likelihood import SampleLikelihood
-from pcbench.playback.replay_metrics import json_values
 from pcbench.playback.setup import Playback, PlaybackSetup, open_playback
 from pcbench.recordings.corrections import toml_with_offsets
 from pcbench.recordings.log import Floats, Ints

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.errors import DesignError
 from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
@@ -76,7 +76,7 @@ def _largest(F: Matrix) -> float:
             return float(np.abs(eigs(F, k=6, ncv=60, v0=np.ones(len(F)), return_eigenvectors=False)).max())
         except ArpackError:
             pass
-    return float(np.abs(np.linalg.eigvals(F)).max())
+    return spectral_radius(F)
 
 
 def certify(Phi: Matrix, C: Matrix, links: Links, period: int) -> Certificate:

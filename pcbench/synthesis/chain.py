@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance, solve_discrete_are
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.dynamics.observability import rank
 from pcbench.errors import DesignError, first_sentence
 from pcbench.synthesis import solvers
@@ -83,7 +83,7 @@ def by_riccati(plant: SampledPlant, d: int, where: str) -> Matrix:
     try:
         P = solve_discrete_are(Ad.T, C.T, noise_over(plant, d), plant.R)
         K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
-        outcome = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
+        outcome = "F is stable" if spectral_radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
         outcome = f"SciPy reported '{first_sentence(error)}'"
     if outcome != "F is stable":
@@ -133,11 +133,6 @@ def sample_map(chain: list[Link], C: Matrix) -> Matrix:
     return J
 
 
-def radius(M: Matrix) -> float:
-    """Return the spectral radius."""
-    return float(np.abs(np.linalg.eigvals(M)).max())
-
-
 def rounding(F: Matrix, d: int) -> float:
     """Return a bound on the rounding error of the spectral radius of F [n, n], a map over d samples.
 
@@ -152,10 +147,10 @@ def certify(chain: list[Link], C: Matrix, method: str) -> Certificate:
     """Return 1 minus the radius of the map of one sample as margin; NaN if it differs from the radius of the links."""
     numbers: dict[str, float | Matrix]
     nonempty = [link for link in chain if link.d]
-    rate = max(radius(link.F) ** (1 / link.d) for link in nonempty)
-    exact = radius(sample_map(chain, C)) if len(C[0]) * sum(link.d for link in nonempty) <= MAX_ROWS else rate
+    rate = max(spectral_radius(link.F) ** (1 / link.d) for link in nonempty)
+    exact = spectral_radius(sample_map(chain, C)) if len(C[0]) * sum(link.d for link in nonempty) <= MAX_ROWS else rate
     low, high = (
-        max(max(radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in nonempty)
+        max(max(spectral_radius(link.F) + sign * rounding(link.F, link.d), 0) ** (1 / link.d) for link in nonempty)
         for sign in (-1, 1)
     )
     is_consistent = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
@@ -86,7 +86,7 @@ def certify(solution: CommonLyapunov, maps: ErrorMaps, rate: float, inequality: 
     M, P_all = np.exp(rate * maps.seconds)[:, None, None] * (P @ maps.J), np.broadcast_to(P, maps.J.shape)
     blocks = np.concatenate([np.concatenate([P_all, M.transpose(0, 2, 1)], 2), np.concatenate([M, P_all], 2)], 1)
     margin = min(float(np.linalg.eigvalsh(blocks).min()), least_eigenvalue(P))
-    radius = float(np.abs(np.linalg.eigvals(maps.J)).max())
+    radius = spectral_radius(maps.J)
     rate_bound = error_bounds.rate(maps.J, P, maps.seconds)
     numbers = {"P": P, "largest_spectral_radius": radius}
     return Certificate(inequality, margin, solution.solver, solution.status, numbers, rate_bound)

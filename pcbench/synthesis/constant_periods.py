@@ -13,11 +13,6 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 
 
-def spectral_radius(M: Matrix) -> float:
-    """Return the largest absolute value of an eigenvalue of M [n, n]."""
-    return float(np.abs(np.linalg.eigvals(M)).max())
-
-
 def held_map(A: Matrix, L: Matrix, C: Matrix, seconds: float) -> Matrix:
     """Return M(s) [n, n] of e' = A e - L C e(t_k) over s seconds: an observer that holds its innovation between samples.
 

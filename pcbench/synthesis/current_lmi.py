@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.dynamics.observability import rank
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
@@ -73,7 +73,7 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
     """Return a given gain with P from M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
     F = error_bounds.errors(L, C, Phi)
     P = np.eye(len(Phi))
-    if np.abs(np.linalg.eigvals(F)).max() < 1:
+    if spectral_radius(F) < 1:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LinAlgWarning)  # an ill-conditioned P is judged by its certificate
             P = np.asarray(solve_discrete_lyapunov(F.T, P), dtype=np.float64)

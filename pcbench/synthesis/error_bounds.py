@@ -13,7 +13,7 @@ import math
 import numpy as np
 from scipy.linalg import eigh
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.errors import UserError
 
 ZERO_EXPONENT = 12.0  # an error that decays by e^-12 counts as zero
@@ -64,7 +64,7 @@ def covariance(F: Matrix, N: Matrix) -> Matrix:
     X is the sum of F^k N F'^k, added by doubling. A sum of positive terms is accurate in all units of the states, while a
     linear system for X is ill-conditioned in some.
     """
-    if not np.abs(np.linalg.eigvals(F)).max() < 1:
+    if not spectral_radius(F) < 1:
         return np.full_like(F, np.nan)
     X, power = np.asarray(N, dtype=np.float64), F
     for _ in range(DOUBLINGS):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.errors import DesignError
 from pcbench.synthesis import bandwidth
 from pcbench.synthesis.certificate import Certificate
@@ -73,7 +73,7 @@ def design(
         )
     K2 = slow.V @ k2 @ slow.W
     K = np.stack([I - K2, K2])
-    radius = float(np.abs(np.linalg.eigvals(F)).max())
+    radius = spectral_radius(F)
     H = (K[0] @ F_N[0] - K[1] @ F_N[1]) / 2
     numbers = {"K1": K[0], "K2": K[1], "L1": L[0], "L2": L[1], "left": float(np.abs((K @ F_N).sum(0)).max())}
     return FiniteTimeGains(L, K, H), Certificate(INEQUALITY, 1 - radius, "numpy", "computed", numbers)

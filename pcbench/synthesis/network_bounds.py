@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.errors import DesignError
-from pcbench.synthesis.constant_periods import largest_stable, spectral_radius
+from pcbench.synthesis.constant_periods import largest_stable
 
 
 class NetworkLoop(NamedTuple):

@@ -19,9 +19,9 @@ from typing import Literal
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.constant_periods import held_map, jump_map, largest_stable, predictor_map, spectral_radius
+from pcbench.synthesis.constant_periods import held_map, jump_map, largest_stable, predictor_map
 from pcbench.synthesis.error_bounds import rate_of
 
 Form = Literal["hold", "predictor", "impulse"]

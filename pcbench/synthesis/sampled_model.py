@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.dynamics import linear
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.dynamics.observability import format_mode, rank
 from pcbench.errors import UserError
 from pcbench.synthesis import riccati
@@ -123,4 +123,4 @@ def delayed_radius(A: Matrix, K: Matrix, C: Matrix, ages: tuple[int, ...]) -> fl
     J[:n, :n] += A
     for j, age in enumerate(ages):
         J[:n, n * age : n * (age + 1)] -= np.outer(K[:, j], C[j])
-    return float(np.abs(np.linalg.eigvals(J)).max())
+    return spectral_radius(J)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from reference import linear
 
+from pcbench.dynamics.linear import spectral_radius
 from pcbench.errors import DesignError
 from pcbench.plants import flexible_joint, ncs_two_state
 from pcbench.synthesis import constant_periods, sampled_high_gain
@@ -83,7 +84,7 @@ def test_two_state_plant_has_its_largest_constant_period():
     model = ncs_two_state.nominal(ncs_two_state.Numbers())
     K = np.array([[3.75, 11.5]])
     found = constant_periods.largest_stable(
-        lambda T: constant_periods.spectral_radius(constant_periods.held_map(model.A, model.B, K, T)), 3.0
+        lambda T: spectral_radius(constant_periods.held_map(model.A, model.B, K, T)), 3.0
     )
     assert found == pytest.approx(1.7294, abs=5e-5)
 
@@ -96,7 +97,7 @@ def test_flexible_joint_has_its_largest_constant_period_over_all_slopes(gain, li
     L, C = np.array(gain)[:, None], np.eye(4)[:1]
 
     def radius(T):
-        return max(constant_periods.spectral_radius(constant_periods.held_map(A, L, C, T)) for A in models)
+        return max(spectral_radius(constant_periods.held_map(A, L, C, T)) for A in models)
 
     assert constant_periods.largest_stable(radius, 0.8) == pytest.approx(limit, abs=1e-4)
 
@@ -105,15 +106,15 @@ def test_held_gain_of_the_timer_example_has_the_period_pi_half():
     def held(T):
         return constant_periods.held_map(TIMER_A, TIMER_L, TIMER_C, T)
 
-    assert constant_periods.spectral_radius(held(1.0)) == pytest.approx(0.9595, abs=5e-5)
-    found = constant_periods.largest_stable(lambda T: constant_periods.spectral_radius(held(T)), 3.0)
+    assert spectral_radius(held(1.0)) == pytest.approx(0.9595, abs=5e-5)
+    found = constant_periods.largest_stable(lambda T: spectral_radius(held(T)), 3.0)
     assert found == pytest.approx(math.pi / 2, abs=1e-6)
 
 
 @pytest.mark.parametrize(("period", "radius"), [(0.2, 1.17), (1.5, 1.01), (2.0, 0.44), (3.0, 0.86)])
 def test_jump_of_the_timer_example_is_unstable_at_short_periods_only(period, radius):
     M = constant_periods.jump_map(TIMER_A, TIMER_L, TIMER_C, period)
-    assert constant_periods.spectral_radius(M) == pytest.approx(radius, abs=5e-3)
+    assert spectral_radius(M) == pytest.approx(radius, abs=5e-3)
 
 
 @pytest.mark.parametrize(("form", "exponent"), [("held_map", -0.057), ("jump_map", -0.35)])

@@ -4,7 +4,7 @@ Also JSON with arrays, complex numbers and tuples.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 from typing import Any, Literal, NamedTuple
 
@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pcbench.errors import printable
+from pcbench.json_values import json_values
 from pcbench.statistics.number_format import UNPROVEN, estimate, mark_uncertified
 
 PROSE = 24  # smallest width of a line of prose, in characters
@@ -181,18 +182,4 @@ def mean(value: float, se: float, sign: str = "") -> str:
 
 def to_json(content: object) -> str:
     """Return arrays, complex numbers and tuples as readable JSON."""
-
-    def jsonable(value: object) -> object:
-        if hasattr(value, "tolist"):
-            return jsonable(value.tolist())
-        if isinstance(value, complex):
-            return {"real": value.real, "imag": value.imag}
-        if isinstance(value, Mapping):
-            return {str(k): jsonable(v) for k, v in value.items()}
-        if isinstance(value, tuple | list):
-            return [jsonable(v) for v in value]
-        if isinstance(value, float) and value != value:
-            return None
-        return str(value) if value in (float("inf"), float("-inf")) else value
-
-    return json.dumps(jsonable(content), indent=2)
+    return json.dumps(json_values(content), indent=2)

@@ -169,6 +169,6 @@ def motion_of(model: linear.Model, context: DesignContext, restarts: bool = True
     """Return a model's motion in NumPy, for every age up to the horizon; `restarts`: whether g may restart in a loop."""
     Phi, Gamma = linear.one_tick(model, context.dt)
     with np.errstate(over="ignore"):
-        grows = np.max(np.abs(np.linalg.eigvals(Phi))) ** context.ticks > LARGEST_GROWTH
+        grows = linear.spectral_radius(Phi) ** context.ticks > LARGEST_GROWTH
     restart_g = () if restarts and context.in_loop and grows else None
     return Motion(Phi, Gamma, linear.powers(model, context.dt, context.ticks), restart_g)

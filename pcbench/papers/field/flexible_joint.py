@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.linear import Matrix, spectral_radius
 from pcbench.papers.claim import MISPRINT, Claim, all_digits, digits, report_finding, rounds_to
 from pcbench.plants import flexible_joint
 from pcbench.synthesis import constant_periods, held_lmi
@@ -65,4 +65,4 @@ def rows() -> list[Claim]:
 def _radius(slopes: Matrix, L: Matrix, period: float) -> float:
     """The largest spectral radius of the error over a period, of all slopes."""
     maps = [constant_periods.held_map(A, L, np.eye(4)[:1], period) for A in slopes]
-    return max(map(constant_periods.spectral_radius, maps))
+    return max(map(spectral_radius, maps))
