@@ -20,7 +20,7 @@ from pcbench.errors import UserError
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import entry_of, estimated_of, outputs_of_states
-from pcbench.plots import observer_costs
+from pcbench.plots import example_cache
 from pcbench.runtime import config, thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.simulation import trajectory
@@ -72,11 +72,11 @@ def of_scenarios(
     if not 0 <= seed < 2**32 - RUNS:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     about = [seed, POINTS, RUNS, FORM]
-    entries = {scenario: observer_costs.CacheEntry(scenario, cell, about) for scenario, cell in grid_cells.items()}
-    runs = {scenario: observer_costs.load_table(out, entry) for scenario, entry in entries.items()}
+    entries = {scenario: example_cache.CacheEntry(scenario, cell, about) for scenario, cell in grid_cells.items()}
+    runs = {scenario: example_cache.load_table(out, entry) for scenario, entry in entries.items()}
     missing = {name: t.cell for name, t in entries.items() if runs[name] is None and t.is_computable}
     for scenario, run in _simulate(missing, study.root_seed, seed, progress).items():
-        runs[scenario] = observer_costs.store(out, entries[scenario], run)
+        runs[scenario] = example_cache.store(out, entries[scenario], run)
     return runs
 
 
