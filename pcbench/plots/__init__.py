@@ -22,8 +22,9 @@ from pcbench.plots.paired_ratios import ratios
 from pcbench.plots.palette import styles
 from pcbench.plots.performance_profiles import profiles
 from pcbench.plots.regret_matrix import regrets
+from pcbench.plots.scenario_errors import scenarios
 from pcbench.plots.time_series import delay_profiles, delays, nees, time
 
 __all__ = ["JOURNALS", "Paper", "bearing", "calibration", "convergence", "cost", "curves", "delay_profiles", "delays",
            "distributions", "divergence", "error_bands", "fair", "heatmaps", "nees", "profiles", "quantiles", "ratios",
-           "regrets", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
+           "regrets", "save", "scenarios", "styles", "time", "trade_off", "winners"]  # fmt: skip

@@ -17,7 +17,7 @@ from pcbench.dataset.result import Result
 from pcbench.plots import frames, layout, one_run
 from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.crossings import Crossing
-from pcbench.plots.labels import SAME, describe_runs, quantity, times
+from pcbench.plots.labels import SAME, describe_runs, quantity, times, unit_of
 from pcbench.plots.paired_ratios import Ratios, verdict
 from pcbench.plots.regret_matrix import Regrets
 from pcbench.plots.time_series import INTERVAL, LOOPED, SIGMA, over
@@ -78,6 +78,13 @@ def best(table: Ratios) -> str:
         verb = "have" if with_less_error[1:] else "has"
         comparison += f"; {_join(with_less_error)} {verb} less error in the runs that do not diverge"
     return f"{lead}, and {comparison} ({method})."
+
+
+def scenarios(table: pd.DataFrame) -> str:
+    """Return the value of each scenario, of rows of `scenario_errors.rows_of`."""
+    unit = unit_of(table)
+    values = zip(table.scenario, table["mean"], strict=True)
+    return f"{'; '.join(f'{name} {_format_value(value, unit)}' for name, value in values)}."
 
 
 def regrets(matrix: Regrets) -> tuple[str, str]:

@@ -21,6 +21,7 @@ from pcbench.plots import (
     frames,
     observer_costs,
     one_run,
+    scenario_errors,
     time_series,
 )
 from pcbench.plots.labels import KINDS, describe_metric, render_figure, unit_of
@@ -28,7 +29,7 @@ from pcbench.plots.layout import PAPER, Paper
 from pcbench.plots.lines import CROSSED
 from pcbench.plots.paired_ratios import ratios_of
 from pcbench.plots.regret_matrix import regrets_of
-from pcbench.report import captions
+from pcbench.report import captions, summary
 from pcbench.runtime import thread_pools
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import scenarios_of, title_of_scenario
@@ -243,6 +244,27 @@ def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
             captions.profiles(matrix),
             captions.profiles_note(figure),
         )
+    elif len(result.scenarios) > 1 and result.stats.observer.nunique() == 1:
+        yield from _scenario_errors(result, options)
+
+
+def _scenario_errors(result: Result, options: FigureOptions) -> Iterator[Picture]:
+    """Yield the error in each scenario, of a loop from its set point, if two scenarios or more have a signal."""
+    first = result.scenarios[0]
+    tracks = summary.LOOP in set(result.stats_of(first, result.signals(first)[0]).metric)
+    metric = summary.LOOP if tracks else options.metric
+    for signal in frames.signals_with_metric(result, first, options.signals, metric):
+        cell = cell_of(result, first, options)
+        table = scenario_errors.rows_of(result, signal, metric, cell)
+        if table.scenario.nunique() > 1:
+            words = describe_metric(metric, signal)
+            yield Picture(
+                f"scenarios-{signal}",
+                f"{words[0].upper()}{words[1:]} in each scenario",
+                plots.scenarios(result, signal=signal, metric=metric, cell=cell, paper=options.paper),
+                captions.scenarios(table),
+                "Lower is better.",
+            )
 
 
 def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
