@@ -11,7 +11,7 @@ import numpy as np
 
 from pcbench.dataset import run_study, single_table
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import Say
+from pcbench.dataset.run_study import OnWarning
 from pcbench.errors import UserError
 from pcbench.gains import gain_variants
 from pcbench.planning import all_observers, alone, digits, drafts, missing_inputs, padding, processor, samples_of
@@ -57,7 +57,7 @@ def run(
     block_size: int | None = None,
     memory: str | int | None = None,
     progress: Progress = SILENT,
-    say: Say | None = None,
+    on_warning: OnWarning | None = None,
 ) -> Result:
     """Run a study and return its tables.
 
@@ -85,7 +85,7 @@ def run(
         block_size: seeds per file.
         memory: bytes that results may take at a time, or a text such as "2GiB". Default: a quarter of the machine's memory.
         progress: is called with the progress (see `runtime.progress`).
-        say: is called with each warning. Default: Python warnings.
+        on_warning: is called with each warning. Default: Python warnings.
 
     Returns:
         The result: `.stats`, `.pairs` and `.runs` are pandas frames. If the study compares several tunings, `.fair` is a
@@ -109,19 +109,19 @@ def run(
             block_size=plain(block_size),
             memory=plain(memory),
             progress=progress,
-            say=say or (lambda sentence: None),
+            on_warning=on_warning or (lambda sentence: None),
         ).checked()
-        if say:
+        if on_warning:
             for sentence in all_observers.sentences(grid.study.excluded):
-                say(sentence)
+                on_warning(sentence)
         for sentence in [*parse.stability_warnings(grid), *engine_warnings(grid)]:
-            (say or warnings.warn)(sentence)
+            (on_warning or warnings.warn)(sentence)
         variants = gain_variants.prepare(grid, out, overwrite, progress)
-        if say and variants.study.tuning_sentence:
-            say(variants.study.tuning_sentence)
+        if on_warning and variants.study.tuning_sentence:
+            on_warning(variants.study.tuning_sentence)
         result = run_study.execute(variants.grid, out, run_options)
         for sentence in missing_inputs.explain_divergence(variants.grid, lambda: result.stats):
-            (say or warnings.warn)(sentence)
+            (on_warning or warnings.warn)(sentence)
         if variants.aim is None:
             return result
         from pcbench.gains import fair_comparison  # tuned gains alone need it

@@ -108,7 +108,7 @@ def run(
             block_size=block_size,
             memory=memory,
             progress=_with_early_imports(progress, quiet),
-            say=say,
+            on_warning=say,
         )
     if result.study.custom_observers and find_spec("matplotlib"):
         from pcbench.report import figures
@@ -229,7 +229,7 @@ def find_limit(
             overrides=changes,
             overwrite=overwrite,
             progress=progress,
-            say=say,
+            on_warning=say,
         )
     if as_json:
         print(to_json(table.attrs | {"answers": table.to_dict("records")}))

@@ -63,7 +63,7 @@ def check(goal: Goal | None, claim: StudyClaim) -> None:
 
 
 def rounds(
-    goal: Goal | None, target: storage.Target, claim: StudyClaim, say: Callable[[str], None]
+    goal: Goal | None, target: storage.Target, claim: StudyClaim, on_warning: Callable[[str], None]
 ) -> Iterator[SeedsOf]:
     """Yield the next number of seeds of each cell, until all reach the goal or the budget is spent.
 
@@ -88,7 +88,7 @@ def rounds(
         if cells:
             yield lambda cell: seed_range(first, size[cell.key])
     if n_short:
-        say(
+        on_warning(
             f"--until-se: {n_short} of {len(claim.cells)} cells stopped at {max_seeds} seeds, short of the goal; raise "
             "--max-seeds."
         )

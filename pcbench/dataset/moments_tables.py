@@ -35,8 +35,10 @@ WRITERS = 4  # threads that write: a file takes 1 ms to compute and 5 ms to reac
 MAX_REFUSALS = 3  # reported refusals
 
 
-def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
-    """Compute the exact results of a study if they are missing; return whether it did, and `say` what is not exact."""
+def make(
+    target: storage.Target, claim: StudyClaim, on_warning: Callable[[str], None], progress: Progress = SILENT
+) -> bool:
+    """Compute the exact results of a study if they are missing; return whether it did. `on_warning` gets what is not exact."""
     mark = mark_of(claim)
     old_table = load_exact_rows(target)
     if old_table is not None and not claim.overwrite and parquet_io.metadata(old_table).get(OF) == mark:
@@ -61,9 +63,9 @@ def make(target: storage.Target, claim: StudyClaim, say: Callable[[str], None], 
     reasons = np.asarray(rows["reason"])[np.asarray(rows["metric"]) == "mse"]
     refusals = list(dict.fromkeys(filter(None, reasons)))
     for sentence in refusals[:MAX_REFUSALS]:
-        say(sentence)
+        on_warning(sentence)
     if refusals[MAX_REFUSALS:]:
-        say(
+        on_warning(
             f"{target.name}: {len(refusals) - MAX_REFUSALS} more have no exact value; the column reason of stats shows why."
         )
     table = parquet_io.with_metadata(columns.with_intervals(columns.table(rows)), {OF: mark})

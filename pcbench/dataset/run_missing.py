@@ -63,7 +63,7 @@ def required_seeds(
     return lambda cell: Seeds(base.first, stops.get(cell.key, base.stop))
 
 
-def valid_blocks(target: storage.Target, claim: StudyClaim, say: Callable[[str], None]) -> list[Block]:
+def valid_blocks(target: storage.Target, claim: StudyClaim, on_warning: Callable[[str], None]) -> list[Block]:
     """Return the valid blocks; report and remove damaged and duplicate ones."""
     observers = {(cell.scenario.name, observer) for cell in claim.cells for observer in cell.options}
     digests, blocks = manifest.digests(claim), block_files.present(target)
@@ -85,15 +85,15 @@ def valid_blocks(target: storage.Target, claim: StudyClaim, say: Callable[[str],
     valid_set = set(valid)
     for b, damage in damages.items():
         if damage:
-            say(f"{target.name}/{b.name}: is damaged ({damage}); it is computed again.")
+            on_warning(f"{target.name}/{b.name}: is damaged ({damage}); it is computed again.")
         elif b not in valid_set:
-            say(f"{target.name}/{b.name}: contains seeds that another block contains; it is removed.")
+            on_warning(f"{target.name}/{b.name}: contains seeds that another block contains; it is removed.")
         if b not in valid_set:
             storage.remove(target, b.name)
     old = block_files.about_block(target, valid[0]).get("versions", {}) if valid else {}
     if valid and old != (new := provenance.versions()):
         changes = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
-        say(f"{target.name}: was begun with {changes}; the last bits of new runs may differ.")
+        on_warning(f"{target.name}: was begun with {changes}; the last bits of new runs may differ.")
     return valid
 
 
@@ -222,11 +222,11 @@ def run_blocks(
     seeds_of: SeedsOf,
     sizes: Sizes,
     progress: Progress = SILENT,
-    say: Callable[[str], None] = lambda sentence: None,
+    on_warning: Callable[[str], None] = lambda sentence: None,
 ) -> Cost:
     """Compute what is missing; raise UserError if a gain is not certified or a file cannot be written.
 
-    Gains are checked before anything is written. `say` gets a sentence for each program with long calls.
+    Gains are checked before anything is written. `on_warning` gets a sentence for each program with long calls.
     """
     todo = missing_seeds(claim, blocks, seeds_of, partial(_block_size, claim, seeds_of, sizes))
     if not todo:
@@ -251,7 +251,7 @@ def run_blocks(
         progress.note(_activity(n_compiled, len(programs)))
         if report.call:
             if report.call.seconds > LONG_CALL:
-                say(_announcement(report.cell[0], report.call, todo))
+                on_warning(_announcement(report.cell[0], report.call, todo))
             continue
         progress.step(report.cost.runs)
     storage.sync(target, {str(Path(b.name).parent) for b in new})

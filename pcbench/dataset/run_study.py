@@ -26,7 +26,7 @@ from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study.grid import Grid
 
-Say = Callable[[str], None]
+OnWarning = Callable[[str], None]
 
 
 class RunOptions(NamedTuple):
@@ -41,7 +41,7 @@ class RunOptions(NamedTuple):
     block_size: int | None = None
     memory: str | int | None = None
     progress: Progress = SILENT
-    say: Say = lambda sentence: None
+    on_warning: OnWarning = lambda sentence: None
     min_seeds: Mapping[str, int] = MappingProxyType({})  # of cells, by digest
 
     def checked(self) -> "RunOptions":
@@ -57,7 +57,11 @@ class RunOptions(NamedTuple):
 def execute(grid: Grid, out: str | Path | None = None, options: RunOptions | None = None) -> Result:
     """Run a study and return its tables; with `out`, store them in that folder or URI. Raises as `pcbench.run`."""
     options = (options or RunOptions()).checked()
-    goal, say, progress = adaptive_seeds.parse(options.until_se, options.max_seeds), options.say, options.progress
+    goal, on_warning, progress = (
+        adaptive_seeds.parse(options.until_se, options.max_seeds),
+        options.on_warning,
+        options.progress,
+    )
     with config.float64(), ExitStack() as stack:
         start, start_time = perf_counter(), datetime.now(UTC)
         tempdir = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
@@ -70,18 +74,18 @@ def execute(grid: Grid, out: str | Path | None = None, options: RunOptions | Non
         run_tasks = stack.enter_context(
             executors.dask(options.dask, options.workers) if options.dask else executors.local_executor(options.devices)
         )
-        blocks = [] if claim.overwrite else run_missing.valid_blocks(target, claim, say)
+        blocks = [] if claim.overwrite else run_missing.valid_blocks(target, claim, on_warning)
         cost, exact_start = Cost(), perf_counter()
-        if grid.study.evaluation != "runs" and moments_tables.make(target, claim, say, progress):
+        if grid.study.evaluation != "runs" and moments_tables.make(target, claim, on_warning, progress):
             claim, blocks = claim._replace(overwrite=False), block_files.drop_overlaps(block_files.present(target))
             cost = Cost(exact_seconds=perf_counter() - exact_start)
         simulations = moments_tables.select_simulations(target, claim)
         seeds_of = run_missing.required_seeds(simulations, blocks, options.min_seeds)
-        more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+        more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, on_warning)
         cost = add_costs(cost, more)
-        for seeds_of in adaptive_seeds.rounds(goal, target, simulations, say):
+        for seeds_of in adaptive_seeds.rounds(goal, target, simulations, on_warning):
             blocks = block_files.drop_overlaps(block_files.present(target))
-            more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, say)
+            more = run_missing.run_blocks(target, simulations, blocks, run_tasks, seeds_of, sizes, progress, on_warning)
             cost = add_costs(cost, more)
         blocks = block_files.drop_overlaps(block_files.present(target))
         if cost.runs or not close.is_closed(target, blocks):

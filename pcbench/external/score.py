@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pcbench.dataset import block_files, manifest, run_study, storage, stored_code, task
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import RunOptions, Say
+from pcbench.dataset.run_study import OnWarning, RunOptions
 from pcbench.dataset.seed_ranges import Seeds
 from pcbench.errors import UserError, short, unknown
 from pcbench.external import runs
@@ -47,7 +47,9 @@ NOT_CHECKED = "pcbench cannot check that these estimates use only measurements t
 Floats = NDArray[np.float64]
 
 
-def run(folder: str | Path, reference: str, name: str, progress: Progress = SILENT, say: Say | None = None) -> Result:
+def run(
+    folder: str | Path, reference: str, name: str, progress: Progress = SILENT, on_warning: OnWarning | None = None
+) -> Result:
     """Run an external estimator MODULE:NAME on the exported runs and add it to the tables; raise UserError for its errors.
 
     It runs in its own process, so its imports do not affect pcbench.
@@ -64,17 +66,17 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
             if process.returncode != 2:
                 last = f"external estimator {reference}: ended with {last}, expected estimates; correct it."
             raise UserError(last)
-        return score(folder, out, name, progress, say)
+        return score(folder, out, name, progress, on_warning)
 
 
 def score(
-    folder: str | Path, file: str | Path, name: str, progress: Progress = SILENT, say: Say | None = None
+    folder: str | Path, file: str | Path, name: str, progress: Progress = SILENT, on_warning: OnWarning | None = None
 ) -> Result:
     """Add estimates to a study's tables as the observer `name`; missing runs of the study's other observers are simulated.
 
     Raises UserError for a name in use, missing runs, or missing ticks.
     """
-    target, where, say = storage.target(folder), short(str(file)), say or (lambda sentence: None)
+    target, where, on_warning = storage.target(folder), short(str(file)), on_warning or (lambda sentence: None)
     with config.float64():
         grid = extend_study(target, name)
         claim = manifest.claim(target, grid)
@@ -101,8 +103,8 @@ def score(
             )
             file_name, rows = task.block(work, p, name, results, seeds)
             storage.write_table(target, file_name, rows)
-        say(f"{name}: {NOT_CHECKED}")
-        return run_study.execute(grid, folder, RunOptions(progress=progress, say=say))
+        on_warning(f"{name}: {NOT_CHECKED}")
+        return run_study.execute(grid, folder, RunOptions(progress=progress, on_warning=on_warning))
 
 
 def extend_study(target: storage.Target, name: str) -> Grid:

@@ -23,7 +23,7 @@ from pcbench import planning
 from pcbench.dataset import manifest, run_study, storage
 from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import RunOptions, Say
+from pcbench.dataset.run_study import OnWarning, RunOptions
 from pcbench.errors import DesignError, UserError
 from pcbench.gains import gain_variants
 from pcbench.limits.search import Look, Question, axis_of, notes, question, scale_of, search
@@ -59,7 +59,7 @@ def find_limit(
     overrides: list[str] | None = None,
     overwrite: bool = False,
     progress: Progress = SILENT,
-    say: Say = lambda sentence: None,
+    on_warning: OnWarning = lambda sentence: None,
 ) -> pd.DataFrame:
     """Find for each observer the largest value of an axis at which a metric is significantly below a threshold.
 
@@ -83,7 +83,7 @@ def find_limit(
         overrides: changes of the study as texts.
         overwrite: delete what is in `out` first.
         progress: is called with the progress.
-        say: is called with each remark.
+        on_warning: is called with each remark.
 
     Returns:
         A frame with one row per observer (of two axes, per value and observer); for the columns see
@@ -102,10 +102,10 @@ def find_limit(
     raw |= {key: plain(value) for key, value in options.items() if value is not None}
     raw = all_observers.resolve_observers(raw, where)
     for sentence in all_observers.sentences(raw.get("excluded")):
-        say(sentence)
+        on_warning(sentence)
     if len(axes) == 2:
         arguments = {"threshold": threshold, "metric": metric, "signal": signal, "tol": tol, "max_seeds": max_seeds}
-        arguments |= {"overwrite": overwrite, "progress": progress, "say": say}
+        arguments |= {"overwrite": overwrite, "progress": progress, "on_warning": on_warning}
         return _frontier(raw, where, axes, between, out, arguments)
     ends = _range(between)
     with config.float64(), ExitStack() as stack:
@@ -118,7 +118,7 @@ def find_limit(
         q = _with_gains(q, (scale.also or (scale.low,))[0], folder, overwrite, progress)
         old_values = [] if overwrite else stored_values(folder, q)
         scale = scale._replace(also=(*scale.also, *old_values))
-        look = look_of(q, folder, RunOptions(overwrite=overwrite, progress=progress, say=say))
+        look = look_of(q, folder, RunOptions(overwrite=overwrite, progress=progress, on_warning=on_warning))
         results = search(look, scale, threshold, most)
     answers = {o: limit_verdicts.answer(results[o]) for o in observers_of(q.study, q.scenario.name)}
     table = limit_verdicts.table(answers, q.axis.label)

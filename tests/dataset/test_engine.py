@@ -176,10 +176,10 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     monkeypatch.setattr(jaxpr_compat, "NEWEST", (0, 1))
     said = []
     for changes in ({}, {"engine": "steps"}):
-        overwrite = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", say=said.append)
+        overwrite = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", on_warning=said.append)
         assert overwrite.study.engine == "definition"
     assert ["the engine `definition` computes" in sentence for sentence in said] == [True, True]
-    grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
+    grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", on_warning=said.append)
     assert (grown.study.engine, len(said)) == ("steps", 3)
     place = storage.target(tmp_path / "begun")
     engines = [block_files.about_block(place, b)["engine"] for b in sorted(block_files.present(place))]

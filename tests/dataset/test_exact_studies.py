@@ -151,7 +151,7 @@ def test_both_simulates_what_is_not_affine_alone(tmp_path):
         "custom_observers": {"signed": f"{tmp_path}/mine.py:OBSERVER"},
         "axes": {},
     }
-    done = pcbench.run(study, evaluation="both", out=tmp_path / "out", say=said.append)
+    done = pcbench.run(study, evaluation="both", out=tmp_path / "out", on_warning=said.append)
     methods = done.stats[done.stats.metric == "mse"].groupby("observer").method.unique()
     assert methods["kf"].tolist() == ["exact"]
     assert methods["signed"].tolist() == ["runs"]

@@ -58,7 +58,7 @@ def test_observers_of_one_cell_do_not_wait_for_an_expensive_one(done):
 def test_long_calls_are_announced(done, monkeypatch):
     monkeypatch.setattr("pcbench.dataset.timing.seconds", lambda made, job: 3 * 3600.0)
     said = []
-    pcbench.run("cart/white", observers=["kf"], seeds=100, block_size=50, out="out", say=said.append)
+    pcbench.run("cart/white", observers=["kf"], seeds=100, block_size=50, out="out", on_warning=said.append)
     assert said == [
         "cart/white: a call of kf, of up to 256 runs, takes about 3.0 h or more; calls to do: 1. "
         "Runs are written at the end of their call."

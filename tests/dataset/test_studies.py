@@ -47,7 +47,7 @@ def test_a_damaged_block_is_named_and_done_again(copy):
     want, said = tables(copy), []
     path = sorted((copy / "runs").rglob("*.parquet"))[3]
     path.write_bytes(path.read_bytes()[:-20])
-    pcbench.run(STUDY, out=copy, block_size=16, say=said.append)
+    pcbench.run(STUDY, out=copy, block_size=16, on_warning=said.append)
     assert len(said) == 1
     assert path.name in said[0]
     assert tables(copy) == want
@@ -59,7 +59,7 @@ def test_rows_that_two_blocks_hold_are_kept_once(copy):
     pcbench.run(STUDY, out=copy.parent / "other", block_size=8)
     for path in list((copy.parent / "other" / "runs").rglob("*.parquet"))[:7]:
         shutil.copy(path, copy / path.relative_to(copy.parent / "other"))
-    pcbench.run(STUDY, out=copy, say=said.append)
+    pcbench.run(STUDY, out=copy, on_warning=said.append)
     assert len(said) == 5, "of 7, two have the name of a block that stands"
     same(copy, copy.parent / "other")
 

@@ -160,7 +160,7 @@ def test_stamps_of_draws_are_those_that_observers_get(tmp_path, wrong, assumed):
 def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_path):
     folder, said = study[0], []
     traces(STUDY).to_parquet(tmp_path / "kf.parquet", index=False)
-    result = score.score(folder, tmp_path / "kf.parquet", "my-kf", say=said.append)
+    result = score.score(folder, tmp_path / "kf.parquet", "my-kf", on_warning=said.append)
     assert any("cannot be checked" in sentence and "trusted" in sentence for sentence in said)
     key = ["cell", "signal", "metric"]
     ours, theirs = (

@@ -60,7 +60,7 @@ def test_an_observer_that_is_refused_in_one_cell_is_left_out(monkeypatch):
 @pytest.mark.usefixtures("few")
 def test_reasons_are_said_once_and_stay_with_the_results(tmp_path):
     said = []
-    result = pcbench.run(STUDY, observers="all", out=tmp_path / "out", say=said.append)
+    result = pcbench.run(STUDY, observers="all", out=tmp_path / "out", on_warning=said.append)
     assert [each for each in said if "left out" in each] == [f"smo is left out of all observers: {REASON}"]
     assert set(result.stats.observer) == {"kf", "model-only"}
     again = pcbench.open_result(tmp_path / "out")

@@ -46,7 +46,7 @@ def sentences(tmp_path):
             "seeds": 2,
             "scenario": SHORT,
         } | loop
-        pcbench.run(study, say=found.append)
+        pcbench.run(study, on_warning=found.append)
         return found
 
     return of

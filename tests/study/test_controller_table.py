@@ -120,7 +120,7 @@ def test_a_loop_is_extended_verified_and_reported(tmp_path):
         "axes": {"command_jitter": [0.0, 0.04]}
     }
     said = []
-    pcbench.run(raw, out=tmp_path / "out", say=said.append)
+    pcbench.run(raw, out=tmp_path / "out", on_warning=said.append)
     assert not said
     done = pcbench.run(raw, out=tmp_path / "out", seeds=4)
     again = pcbench.run(raw, seeds=4)
