@@ -6,6 +6,7 @@
 - Additions, comparisons and copies are not counted.
 - A loop counts as often as it runs for the last sample of a run with a constant period and the assumed delay. Of the branches
   of a choice by index, the one that runs is counted.
+- No sample is out of sequence. One that is costs an observer more if it computes newer samples again.
 - Integers in an observer's memory (ticks, ring positions) have their values at the end of the run, as loops over a window that
   is not yet full are shorter. Floats have their values at the start, also those that decide how often a loop runs.
 
