@@ -150,13 +150,16 @@ def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple
     return gain, certificate._replace(numbers=numbers)
 
 
-def largest_interval(task: HeldTask, L: Matrix | None, upper: float) -> tuple[float, Certificate]:
-    """Return the largest interval [s] of all clocks that the LMI certifies, to 0.1 % and up to `upper`, and its certificate.
+def largest_interval(
+    task: HeldTask, L: Matrix | None, upper: float, precision: float = PRECISION
+) -> tuple[float, Certificate]:
+    """Return the largest interval [s] of all clocks that the LMI certifies, up to `upper`, and its certificate.
 
-    The intervals of `task` are not used; L as in `design`. Raises DesignError if none above 0.1 % of `upper` is certified.
+    The intervals of `task` are not used; L as in `design`. `precision` is relative. Raises DesignError if no interval above
+    this fraction of `upper` is certified.
     """
     low, high, best = 0.0, upper, None
-    while high - low > PRECISION * (low or upper):
+    while high - low > precision * (low or upper):
         middle = (low + high) / 2
         trial = task._replace(intervals=(middle,) * len(task.intervals))
         try:

@@ -2,14 +2,17 @@
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.papers.claim import Claim, all_digits, report_finding
-from pcbench.synthesis import bandwidth, finite_time, interval_observer, sampled_high_gain, send_on_delta
+from pcbench.synthesis import bandwidth, cascade, finite_time, interval_observer, sampled_high_gain, send_on_delta
 
 FORMS: tuple[sampled_high_gain.Form, ...] = ("hold", "predictor", "impulse")
 PERIOD, OMEGA = 0.01, 20.0  # s, 1/s of the extended state observer
+LINK_TICKS = 100  # of a link of the cascade
 SOURCES = {
+    "cascade": "Germani, Manes, Pepe 2002 [V]",
     "eso": "Miklosovic, Radke, Gao 2006 [V]",
     "high gain": "Karafyllis, Kravaris 2009 [V]",
     "finite time": "Engel, Kreisselmeier 2002 [V]",
@@ -23,7 +26,21 @@ def rows() -> list[Claim]:
     limits = {form: [sampled_high_gain.limit(form, n) for n in (2, 3, 4)] for form in FORMS}
     rates = [sampled_high_gain.decay_rate("predictor", 2, interval) for interval in (0.1, 3.0)]
     trigger = send_on_delta.expected(1.0)
+    link_delays = [longest_link(gain) for gain in (1.5, 2.0, 3.0)]
+    largest_gain = brentq(lambda gain: longest_link(gain) - 2.5 / 3, 1.2, 1.4)
     return [
+        all_digits(
+            "cascade, x' = a x: longest link, times a, at gains of 1.5 a, 2 a, 3 a",
+            "0.7523, 0.6046, 0.4352",
+            link_delays,
+            SOURCES["cascade"],
+        ),
+        all_digits(
+            "cascade, x' = a x: largest gain / a of three links over a delay of 2.5 / a",
+            "1.3025",
+            largest_gain,
+            SOURCES["cascade"],
+        ),
         all_digits("eso: gains at w = 20, T = 0.01", "0.451188, 8.964126, 59.562428", eso_gains(), SOURCES["eso"]),
         all_digits(
             "high gain, n = 2, innovation held: largest theta T", "1.000", limits["hold"][0], SOURCES["high gain"]
@@ -52,6 +69,17 @@ def rows() -> list[Claim]:
             "; ".join(f"{form} {', '.join(f'{limit:.5f}' for limit in values[1:])}" for form, values in limits.items()),
         ),
     ]
+
+
+def longest_link(gain: float) -> float:
+    """Return the longest delay of a link whose errors decay, for x' = x + u and a gain [1/s], measured at every tick."""
+
+    def excess(delay: float) -> float:
+        seconds = delay / (LINK_TICKS + 0.5)  # an input that is held over a tick delays by half a tick more
+        Phi = np.full((1, 1), np.exp(seconds))
+        return cascade.radius(Phi, np.eye(1), gain * (Phi - 1), LINK_TICKS, 0) - 1
+
+    return float(brentq(excess, 0.2, 0.99))
 
 
 def eso_gains() -> Matrix:
