@@ -1,4 +1,4 @@
-"""The falling body: its path, and the median errors of altitude of the extended and the cubature filter.
+"""The falling body: its path, and the median errors of altitude and drag of the extended and the cubature filter.
 
 pcbench draws the points of the cubature filter at every tick of 1/64 s, the program of the reference once a second. Its
 points then keep more of the distribution, and its errors are smaller from 20 s on.
@@ -9,6 +9,7 @@ standard errors of the difference of two medians of as many runs each; that of o
 import numpy as np
 
 from pcbench import api
+from pcbench.dynamics.linear import Matrix
 from pcbench.papers.claim import OPEN, REPRODUCED, Claim, all_digits
 
 COMPUTED = "Julier, Uhlmann, Durrant-Whyte 2000 [V]"
@@ -19,6 +20,7 @@ PLOT_NOTE = (
     "larger from 20 s on: points are drawn at every tick here, once a second there, and the source leaves it open"
 )
 MEDIANS = {"ekf": (734.0, 127.0, 91.0, 60.0), "ukf": (728.0, 77.0, 45.0, 23.0)}  # ft, at the times
+DRAG_MEDIANS = {"ekf": 8.1e-6, "ukf": 2.3e-6}  # 1/ft, at the last time
 
 
 def rows() -> list[Claim]:
@@ -29,14 +31,28 @@ def rows() -> list[Claim]:
     ]
     out = [all_digits("altitude at 10, 20, 30, 60 s [ft]", ALTITUDES, frames[0]["altitude"], COMPUTED)]
     for observer, medians in MEDIANS.items():
-        errors = np.abs([frame["altitude"] - frame[f"{observer}.altitude"] for frame in frames])  # [runs, times]
-        low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75], axis=0)
-        z_scores = np.abs(middle - medians) / (0.93 * (high - low) * np.sqrt(2 / RUNS))
-        text = ", ".join(f"{ours:.3g}" for ours in middle)
-        claim = f"{observer}: median error of altitude at 10, 20, 30, 60 s, {RUNS} runs [ft]"
-        agrees = bool(z_scores.max() < 3)
-        steady = "within 3 standard errors" if agrees else PLOT_NOTE
-        verdict = REPRODUCED if agrees else OPEN
-        summary = f"{text}{'' if agrees else f', {PLOT_NOTE}'}, at most {z_scores.max():.1f} standard errors off"
-        out.append(Claim(claim, ", ".join(f"{ft:g}" for ft in medians), summary, verdict, steady, COMPUTED))
+        altitude, drag = (
+            np.abs([frame[signal] - frame[f"{observer}.{signal}"] for frame in frames])  # [runs, times]
+            for signal in ("altitude", "drag")
+        )
+        out += [
+            _median(f"{observer}: median error of altitude at 10, 20, 30, 60 s, {RUNS} runs [ft]", medians, altitude),
+            _median(
+                f"{observer}: median error of the drag coefficient at 60 s, {RUNS} runs [1/ft]",
+                (DRAG_MEDIANS[observer],),
+                drag[:, -1:],
+            ),
+        ]
     return out
+
+
+def _median(claim: str, medians: tuple[float, ...], errors: Matrix) -> Claim:
+    """Compare the medians over runs of absolute errors [runs, times] with those of the reference."""
+    low, middle, high = np.quantile(errors, [0.25, 0.5, 0.75], axis=0)
+    z_scores = np.abs(middle - medians) / (0.93 * (high - low) * np.sqrt(2 / RUNS))
+    text = ", ".join(f"{ours:.3g}" for ours in middle)
+    agrees = bool(z_scores.max() < 3)
+    steady = "within 3 standard errors" if agrees else PLOT_NOTE
+    verdict = REPRODUCED if agrees else OPEN
+    summary = f"{text}{'' if agrees else f', {PLOT_NOTE}'}, at most {z_scores.max():.1f} standard errors off"
+    return Claim(claim, ", ".join(f"{value:g}" for value in medians), summary, verdict, steady, COMPUTED)
