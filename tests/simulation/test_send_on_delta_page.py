@@ -50,3 +50,11 @@ def test_protocols():
             row = stats.loc[signal, f"{name}-{interval}"]
             assert f"{row['mean']:.4f}" == mean
             assert f"{(row.ci_high - row.ci_low) / 2:.4f}" == half
+
+
+def test_exact_errors_of_round_robin():
+    stats = pcbench.run("ncs-reactor", evaluation="exact").stats.query("metric == 'steady_pooled_rmse'")
+    stats = stats.set_index(["signal", "scenario"])
+    for interval, *printed in tables(PAGE, "interval [s]"):
+        for signal, text in zip(("x1", "x2"), printed, strict=True):
+            assert f"{stats.loc[(signal, f'round-robin-{interval}'), 'mean']:.4f}" == text
