@@ -107,6 +107,31 @@ def test_it_rests_where_an_independent_program_found(feed, q, pressures, some, m
         assert x[i] == pytest.approx(value, rel=3e-3)
 
 
+def test_it_rests_at_the_printed_digits_under_the_mean_feed_of_the_program():
+    x, feed = digester.operating_point("printed")
+    assert feed == pytest.approx((1008 / 2 + 432) / 7, rel=1e-12)
+    np.testing.assert_allclose(rate(x, feed), 0, atol=1e-10)
+    printed = [
+        "0.0155",
+        "0.4745",
+        "0.6506",
+        "960.094",
+        "9.857",
+        "11.484",
+        "4.136",
+        "1.2852",
+        "0.4048",
+        "17",
+        "0.4195",
+        "0.8183",
+        "240.97",
+        "0.5954",
+        "0.4224",
+    ]
+    for text, value in zip(printed, [*x, *gas(x)], strict=True):
+        assert f"{value:.{len(text.partition('.')[2])}f}" == text
+
+
 @pytest.mark.parametrize("point", digester.FEEDS)
 def test_linear_model_is_the_slope_at_rest(point):
     model, (x, feed) = digester.nominal(digester.Numbers(point=point)), digester.operating_point(point)

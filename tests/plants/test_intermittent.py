@@ -34,6 +34,17 @@ def test_bounds_have_their_values(p, S, V):
     assert bounds(p) == pytest.approx((S, V), rel=1e-3)
 
 
+@pytest.mark.parametrize(("p", "median"), [(0.37, 7.2), (0.4, 6.8), (0.6, 4.0)])
+def test_median_covariance_is_far_below_the_upper_bound(p, median):
+    """The median of 2000 runs after 100 steps; the law has a heavy tail, so a mean says little at 0.37."""
+    draws, P, found = np.random.default_rng(1), np.ones(2000), []
+    for k in range(300):
+        P = A**2 * P + Q - (draws.random(2000) < p) * A**2 * P**2 / (P + R)
+        found += [np.median(P)] if k >= 100 else []
+    assert np.mean(found) == pytest.approx(median, abs=0.1)
+    assert np.mean(found) < bounds(p)[1] / 1.5
+
+
 def test_run_of_the_filter_is_the_references():
     seed, m, P, want = 3, 0.0, 1.0, []
     frame = pcbench.simulate(BASE, "kf", seed=seed)

@@ -43,7 +43,7 @@ def test_other_constants_are_no_equilibrium():
     assert moves[0] == pytest.approx(SHARE1 * (3.5 - K1) * 3 / 28, rel=1e-12)
 
 
-def test_linear_model_is_the_slope_of_the_balances_and_has_the_printed_time_constants():
+def test_linear_model_is_the_slope_of_the_balances():
     model, h = quadruple_tank.nominal(quadruple_tank.Numbers()), LEVEL
     for j in range(4):
         moved = h.astype(complex)
@@ -52,9 +52,14 @@ def test_linear_model_is_the_slope_of_the_balances_and_has_the_printed_time_cons
         slope = (np.array([q[2] - q[0], q[3] - q[1], -q[2], -q[3]]) / AREA).imag / 1e-30
         np.testing.assert_allclose(model.A[:, j], slope, rtol=0, atol=1e-14)
     np.testing.assert_allclose(model.B.sum(1), motion(h, [4.0, 4.0]), rtol=0, atol=1e-14)
-    printed = np.array([12.4, 12.7, 1.8, 1.4])
-    T = -1 / np.diag(model.A) * np.sqrt(printed / h)
-    np.testing.assert_allclose(T, [62.70, 90.34, 23.89, 29.99], atol=5e-3)
+
+
+@pytest.mark.parametrize(("point", "T"), [("P-", [62.70, 90.34, 23.89, 29.99]), ("P+", [63.21, 91.40, 39.01, 56.11])])
+def test_printed_levels_give_the_printed_time_constants(point, T):
+    """T is proportional to the root of the level."""
+    model = quadruple_tank.nominal(numbers_of(SCENARIOS[SCENARIO[point]]))
+    found = -1 / np.diag(model.A) * np.sqrt(PRINTED[point] / quadruple_tank.POINTS[point].level)
+    np.testing.assert_allclose(found, T, atol=5e-3)
 
 
 @pytest.mark.ci
