@@ -118,7 +118,7 @@ METHODS = {
         "Estimates the effect of the delay as a disturbance of the input, with one bandwidth, and adds the response to it to "
         "the output. It tends to a Smith predictor as the bandwidth grows.",
         "the model; ages are not used. The plant must be a chain of integrators with one input and one output, not unstable",
-        "Natori, Oboe, Ohnishi 2008, doi 10.1109/TII.2008.2002705 (not obtained)",
+        "Natori, Oboe, Ohnishi 2008 (not obtained)",
     ),
     "super-twisting": Method(
         "Super-twisting observer",
