@@ -3,7 +3,9 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from reference import linear
 
 import pcbench
 from pcbench.scenarios import SCENARIOS
@@ -54,8 +56,8 @@ def test_every_number_to_check_is_in_the_ledger():
     ("study", "metric", "signal", "heading"),
     [
         ("quadruple-tank", "steady_pooled_rmse", "level_2", "delay [s] | `kf`"),
-        ("ncs-two-state", "steady_rmse", "position", "period [s]"),
-        ("ncs-two-state", "steady_tracking_rmse", "position", "period [s]"),
+        ("ncs-two-state", "steady_rmse", "position", "period [s] | estimate"),
+        ("ncs-two-state", "steady_tracking_rmse", "position", "period [s] | estimate"),
     ],
 )
 def test_findings_of_the_page_come_out(study, metric, signal, heading):
@@ -71,6 +73,36 @@ def test_findings_of_the_page_come_out(study, metric, signal, heading):
             shown = [shown[metric == "steady_tracking_rmse"]]
         for text, (_, row) in zip(shown, found.iterrows(), strict=True):
             assert float(text) == pytest.approx(row["mean"], abs=3 * row["se"] + 0.05 * row["mean"])
+
+
+@pytest.mark.nightly
+def test_errors_of_the_flexible_joint_come_out():
+    stats = pcbench.run("flexible-joint").stats
+    stats = stats[(stats.metric == "steady_rmse") & (stats.signal == "link_angle")]
+    found = stats.set_index(["observer", "sampling_period"])["mean"]
+    for period, *shown in rows("period [s] | `ekf`"):
+        for observer, text in zip(("ekf", "lmi-sampled"), shown, strict=True):
+            assert float(text) == pytest.approx(found[observer, float(period)], rel=0.03)
+    assert found["model-only"].iloc[0] == pytest.approx(0.46, abs=0.005)
+
+
+@pytest.mark.ci
+def test_gain_of_the_flexible_joint_is_certified_and_stable_up_to_the_limit_of_the_page():
+    options = STUDIES["flexible-joint"].options["lmi-sampled"]
+    study = {"name": "joint", "scenario": {"base": "flexible-joint/sampled"}, "options": {"lmi-sampled": options}}
+    made = pcbench.design(study, "lmi-sampled")
+    assert made.certificate.margin > 0
+
+    def radius(period):
+        maps = []
+        for slope in (-3.33, 0.0, 3.33):
+            A = np.array([[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 1], [19.5, 0, -19.5 - slope, 0]])
+            Phi, Gamma = linear.discretise(A, -made.gains.L, period)
+            maps.append(np.abs(np.linalg.eigvals(Phi + Gamma @ np.eye(4)[:1])).max())
+        return max(maps)
+
+    assert max(map(radius, np.linspace(0.05, 0.455, 30))) < 1 < radius(0.47)
+    assert radius(0.5) > 1
 
 
 @pytest.mark.nightly
