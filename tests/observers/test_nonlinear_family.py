@@ -95,6 +95,14 @@ def test_cubature_points_equal_the_reference():
     agrees(swinging.found("ukf", **CUBATURE), want)
 
 
+@pytest.mark.ci
+def test_unscented_points_without_weight_on_the_centre_are_the_cubature_points():
+    flat, cubature = swinging.found("ukf", alpha=1.0, beta=0.0, kappa=0.0), swinging.found("ukf", **CUBATURE)
+    for a, b in zip(flat, cubature, strict=True):
+        same(a, b)
+    assert np.abs(swinging.found("ukf", alpha=1.0, beta=0.0, kappa=1.0)[0] - cubature[0]).max() > 1e-6
+
+
 @pytest.mark.nightly
 def test_a_start_that_is_known_has_no_points():
     """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
