@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from documents import PAGES, tables
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -90,3 +91,12 @@ def test_the_cart_passes_and_exact_results_have_nothing_to_compare(tmp_path):
     pcbench.run("cart/gaussian", evaluation="exact", observers=["kf"], out=tmp_path / "exact")
     with pytest.raises(UserError, match="has no runs to be compared"):
         validate_exact.check(tmp_path / "exact")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("study", "count"), tables(PAGES["exact_evaluation.md"], "study | means compared"))
+def test_the_means_of_a_built_in_study_are_its_exact_values(study, count, tmp_path):
+    pcbench.run(study, out=tmp_path / "out")
+    found = validate_exact.check(tmp_path / "out")
+    assert len(found.rows) == int(count.replace(",", ""))
+    assert found.wrong.empty, found.wrong
