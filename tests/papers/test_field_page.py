@@ -144,7 +144,7 @@ def test_errors_of_the_falling_body_come_out():
 def test_errors_of_the_coordinated_turn_come_out():
     runs = pcbench.run("coordinated-turn").runs
     runs = runs[runs.signal == "position"].set_index(["observer", "delay"])
-    for delay, ukf, ekf, lost in rows("delay [s] | `ukf`"):
+    for delay, ukf, ekf, lost in rows("delay [s] | `ukf`, cubature"):
         kept = runs.loc[("ekf", float(delay))]
         assert int(lost) == pytest.approx((kept.steady_max_abs_error > 500).sum(), abs=1)
         kept = kept[kept.steady_max_abs_error <= 500]
