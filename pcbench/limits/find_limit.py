@@ -83,7 +83,7 @@ def find_limit(
         overrides: changes of the study as texts.
         overwrite: delete what is in `out` first.
         progress: is called with the progress.
-        on_warning: is called with each remark.
+        on_warning: is called with each warning.
 
     Returns:
         A frame with one row per observer (of two axes, per value and observer); for the columns see

@@ -16,12 +16,14 @@ ROW, OFFSET = 0.2, 0.5  # inches of a row; part of a row that the observers of a
 
 def rows_of(result: Result, signal: str | None = None, metric: str = frames.METRIC, cell: int = 0) -> pd.DataFrame:
     """Return the rows of stats of the scenarios that have the signal, the metric and the grid point."""
-    signal = frames.signal_of(result, result.scenarios[0], signal, metric)
-    parts = [
+    first = frames.rows(result, None, signal, metric)
+    signal, metric = str(first.signal.iloc[0]), str(first.metric.iloc[0])
+    others = [
         frames.rows(result, scenario, signal, metric)
-        for scenario in result.scenarios
-        if signal in frames.signals_with_metric(result, scenario, None, metric)
+        for scenario in result.scenarios[1:]
+        if signal in frames.signals_with_metric(result, scenario, [], metric)
     ]
+    parts = [first, *others]
     return pd.concat([part[part.cell == cell] for part in parts], ignore_index=True)
 
 

@@ -182,6 +182,6 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
 
 
 def test_table_spells_out_acronyms_of_papers_once():
-    text = printed(lambda screen: screen.say_acronyms(["kf", "pccebo-riccati", "pccebo", "smo"]))
+    text = printed(lambda screen: screen.explain_acronyms(["kf", "pccebo-riccati", "pccebo", "smo"]))
     assert text == "pccebo: piecewise continuous and current estimator-based observer; smo: sliding-mode observer.\n"
-    assert not printed(lambda screen: screen.say_acronyms(["kf", "model-only"]))
+    assert not printed(lambda screen: screen.explain_acronyms(["kf", "model-only"]))

@@ -47,6 +47,15 @@ def test_the_report_of_one_observer_begins_with_the_error_from_the_set_point(res
 
 
 @pytest.mark.ci
+def test_a_signal_that_is_not_a_main_one_is_drawn_and_an_unknown_name_is_a_sentence(result):
+    (ax,) = plots.scenarios(result, signal="velocity").axes
+    assert len(ax.get_lines()[0].get_xdata()) == 2
+    for changes in ({"signal": "speed"}, {"metric": "steady_rms"}):
+        with pytest.raises(UserError, match=r"did you mean|valid"):
+            plots.scenarios(result, **changes)
+
+
+@pytest.mark.ci
 def test_one_scenario_is_refused_in_a_sentence():
     with pytest.raises(UserError, match=r"two scenarios or more with this signal, metric and grid point, got 1"):
         plots.scenarios(pcbench.run("cart/slow", observers=["kf"], seeds=2))

@@ -31,7 +31,7 @@ def answers(table: pd.DataFrame, screen: Screen) -> None:
     screen.fit(f"{title} from {low:g} to {high:g}", columns)
     special_rows = [row for row in rows if row["answer"] != PLAIN or row["sentence"].count("; ") > 1]
     screen.say(*(f"{row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"])
-    screen.say_acronyms(table.observer)
+    screen.explain_acronyms(table.observer)
 
 
 def frontier(table: pd.DataFrame, screen: Screen) -> None:
@@ -50,7 +50,7 @@ def frontier(table: pd.DataFrame, screen: Screen) -> None:
     screen.say(
         *(f"{first} = {row[first]:g}, {row['observer']}: {row['sentence']}" for row in special_rows), *summary["notes"]
     )
-    screen.say_acronyms(table.observer)
+    screen.explain_acronyms(table.observer)
 
 
 def _largest(row: Mapping[Hashable, object]) -> str:

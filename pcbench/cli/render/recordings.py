@@ -139,7 +139,7 @@ def print_replay(result: "ReplayResult", folder: str, screen: Screen) -> None:
         _by_signal(result.distances, "rms", title, screen)
         screen.say("Compare distances only between observers with the same assumptions, such as delays and noise.")
     tables = (result.innovations, result.metrics, result.distances)
-    screen.say_acronyms(str(name) for table in tables if len(table) for name in table.observer)
+    screen.explain_acronyms(str(name) for table in tables if len(table) for name in table.observer)
     rounding, ticks = summary["largest_rounding"], summary["ticks"] + 1
     screen.say(
         f"{ticks:,} ticks of {summary['dt']:g} s; times are rounded by up to {rounding:.3g} s.",

@@ -100,7 +100,7 @@ def closing(
             screen.print(sentence)
     for note in [*notes, *([COSTS] if costs is not None else [])]:
         screen.print(note)
-    screen.say_acronyms(stats.observer.unique())
+    screen.explain_acronyms(stats.observer.unique())
 
 
 def _print_cells(view: View, screen: Screen) -> list[str]:

@@ -57,7 +57,7 @@ class Screen(Console):
         if mark_uncertified("", certified):
             self.print(f"{UNPROVEN} its gains.")
 
-    def say_acronyms(self, labels: Iterable[str]) -> None:
+    def explain_acronyms(self, labels: Iterable[str]) -> None:
         """Spell out the papers' acronyms among observers, if there are any."""
         from pcbench.observers import acronyms
 
