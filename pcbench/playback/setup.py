@@ -159,6 +159,7 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
             f"{m} inputs, in their order; correct the table."
         )
     context = context._replace(
+        random_schedule=False,  # a recording has one
         oosm_lag=max(context.oosm_lag, room.oosm_lag),
         flight=max(context.flight, room.flight),
         latest=max(context.latest, room.latest),

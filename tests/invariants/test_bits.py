@@ -175,15 +175,16 @@ FIVE = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]  # with ukf every call
         ("cart/white", "definition", FIVE),
         ("cart/white", "steps", TWO),
         ("ncs-two-state/held", "steps", ["kf"]),
+        pytest.param("helicopter/constant", "steps", ["ekf"], marks=pytest.mark.nightly),
         pytest.param("camera-target/following", "steps", ["kf", "kf-ignore-delay"], marks=pytest.mark.nightly),
     ],
-    ids=["steps", "definition", "steps without ukf", "a loop", "a loop with late samples"],
+    ids=["steps", "definition", "steps without ukf", "a loop", "a heavy loop", "a loop with late samples"],
 )
 def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(base, engine, every):
     scenario = {"base": base, "name": "short", "duration": 0.6, "steady_start": 0.3, "sampling_period": 0.2}
     study = {"name": "counts", "scenario": scenario, "engine": engine}
     (cell,) = parse.grid_of(study | {"observers": every}, {}, []).cells
-    assert {build.width(cell, n) for n in COUNTS} == ({64} if every == FIVE else {64, 256, runner.WIDTH})
+    assert {build.width(cell, n) for n in COUNTS} == ({64} if every == FIVE else {64, 256, build.width(cell)})
 
     def runs(n, observers=every):
         found = pcbench.run(study | {"observers": observers}, seeds=n).runs
