@@ -162,6 +162,27 @@ def test_a_scan_of_no_known_form_is_one_sentence():
         jaxpr_compat.scan({"jaxpr": None, "length": 3})
 
 
+@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("differs", [False, True], ids=["common", "of each lane"])
+def test_a_choice_equals_vmap_and_stays_one_if_it_is_common(index, differs):
+    """A branch may return what is common to all lanes where the other does not."""
+
+    def choose(i, x):
+        return lax.cond(i == 1, lambda: (x + 1, jnp.ones(3), 2 * i), lambda: (2 * x, x, 3 * i))
+
+    x, i = jnp.asarray(RNG.normal(size=(3, L))), jnp.asarray([(index + k) % 2 for k in range(L)] if differs else index)
+    given = lane_array.split(i.reshape(1, L)) if differs else i
+    f = (lambda i, x: choose(i[0], x)) if differs else choose
+    read, found = forms_of_the_program_and_of_its_numbers(f, given, lane_array.split(x))
+    got = vmap_entrywise(f)(given, lane_array.split(x))
+    want = jax.vmap(choose, (0 if differs else None, -1), -1)(i, x)
+    for a, b in zip(got, want, strict=True):
+        a = lane_array.join(a) if lane_array.is_lanes(a) else jnp.broadcast_to(a[..., None], b.shape)
+        np.testing.assert_array_equal(a, b)
+    assert read == found
+    assert (found[2] == lane_array.SAME) == (not differs)
+
+
 def test_what_does_not_depend_on_a_lane_is_computed_once():
     out = vmap_entrywise(lambda x, y: (x * 2, y + 1))(lane_array.split(jnp.ones((2, L))), jnp.zeros(3))
     assert lane_array.is_lanes(out[0])
