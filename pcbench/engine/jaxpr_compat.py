@@ -35,7 +35,7 @@ ELEMENTWISE = frozenset(
     or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor""".split()  # noqa: SIM905
 )
 STRUCTURAL = frozenset(
-    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose unstack".split()  # noqa: SIM905
+    "broadcast_in_dim concatenate expand_dims pad reshape rev slice split squeeze stack tile transpose unstack".split()  # noqa: SIM905
 )
 FOLDS = ("reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or")
 CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call"])

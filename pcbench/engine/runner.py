@@ -45,6 +45,8 @@ def vector_width() -> str:
 
 OPTIONS: dict[str, str | bool] = {  # compiler options for a CPU
     "xla_cpu_multi_thread_eigen": False,  # multithreaded small products are 3 times slower and change bits
+    # else kernels of expensive ticks are split over all threads, and waiting for them doubles the time of a tick
+    "xla_disable_hlo_passes": "cpu-parallel-task-assigner",
     "xla_cpu_prefer_vector_width": vector_width(),  # with 512 bits, the arm takes 0.77 of the time with 256 bits
 }
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from jax import lax
 
-from pcbench import protocols
-from pcbench.engine import interpreter, jaxpr_compat, lane_array, lane_forms, packing
+from pcbench import planning, protocols
+from pcbench.engine import event_loop, interpreter, jaxpr_compat, lane_array, lane_forms, packing, runner
 from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.errors import UserError
 from pcbench.protocols import vmap_as_unit
+from pcbench.study import parse
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -35,6 +36,7 @@ FUNCTIONS = {
     "product of lanes": lambda x, A: A @ jnp.outer(x, x) @ A.T + A.T,
     "large product": lambda x, A: (BIG @ jnp.tile(x, 4))[:3] * A[0],
     "structure": lambda x, A: jnp.concatenate([x[::-1], A.reshape(-1)[2:5], jnp.ones(1)])[jnp.array([0, 3, 2])],
+    "parts": lambda x, A: jnp.stack([jnp.split(jnp.tile(jnp.pad(x, (1, 2)), 2), 4)[1], A[1]], 1) @ x[:2],
     "reductions": lambda x, A: jnp.stack([jnp.sum(A), jnp.max(x), jnp.prod(x), jnp.where(jnp.all(x < 9), 1.0, 0.0)]),
     "choice": lambda x, A: jnp.where(x > 0, jnp.sin(x), A[1]) + jnp.where(True, x, A[0]),
     "linear algebra": lambda x, A: jnp.linalg.solve(A + 9 * jnp.eye(3), x),
@@ -181,6 +183,39 @@ def test_a_choice_equals_vmap_and_stays_one_if_it_is_common(index, differs):
         np.testing.assert_array_equal(a, b)
     assert read == found
     assert (found[2] == lane_array.SAME) == (not differs)
+
+
+# linear algebra, and products with more than kernels.MOST_PRODUCTS terms
+WITHOUT_RULE = {"custom_linear_solve", "dot_general", "dynamic_slice", "eigh", "gather", "lu"}
+STUDIES = {  # with changes
+    "cart": {},
+    "unequal-delays": {},
+    "helicopter": {"observers": ["high-gain", "ekf"]},
+    "unknown-input": {},
+    "quadruple-tank": {},
+    "camera-target": {},
+    "growth-model": {},
+}
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("study", STUDIES)
+def test_every_primitive_of_plants_and_observers_has_a_rule(study, monkeypatch):
+    """jax 0.10.2 replaced the concatenation in `jnp.stack` by a primitive of its own, and every tick took twice as long."""
+    names, fallback = set(), interpreter._fallback
+    monkeypatch.setattr(interpreter, "_fallback", lambda *a: names.add(a[1].primitive.name) or fallback(*a))
+    for p in {p.layout: p for p in planning.plan(parse.grid_of(study, STUDIES[study], []).study)}.values():
+        args = runner.arguments(runner.Job(p.problem, 0, np.arange(2)), p.layout.width)
+        jax.make_jaxpr(lambda *a, layout=p.layout: event_loop.simulate(layout, *a[:3]))(*args)
+    assert names <= WITHOUT_RULE
+
+
+def test_a_primitive_without_a_rule_is_logged_once_by_name(caplog):
+    interpreter._log_fallback.cache_clear()
+    with caplog.at_level("INFO"):
+        for _ in range(2):
+            vmap_entrywise(jnp.sort)(lane_array.split(jnp.asarray(RNG.normal(size=(3, L)))))
+    assert caplog.messages.count("sort has no rule here: it is applied by vmap") == 1
 
 
 def test_what_does_not_depend_on_a_lane_is_computed_once():
