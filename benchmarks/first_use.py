@@ -3,23 +3,28 @@
     python benchmarks/first_use.py                              # all studies: half an hour on two cores
     python benchmarks/first_use.py quick cart --turns 3
     python benchmarks/first_use.py quick --against ../older     # ratios to another checkout, in turn
+    python benchmarks/first_use.py quick --against 746ae6a --at-most 1.2  # a commit; exit code 1 if a ratio is larger
     python benchmarks/first_use.py --small                      # one short study: its figures mean nothing
 
 A row per study: wall seconds and processor seconds of the first run and of the next one, peak memory, how many programs were
 compiled for at least 0.3 s, and processor seconds that compiling took. `new-plant` is a linear plant in a TOML file, two
 observers, 256 runs; `900000-runs` are three observers with 300,000 runs each.
 
-Checked: the second run compiles nothing, and both do the same number of runs. Exit code 1 if not.
+Ratios to another state are of processor seconds, and each is the median of its turns, so that other work on the machine counts
+little. Checked: the second run compiles nothing, and both do the same number of runs. Exit code 1 if not.
 """
 
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,36 +108,62 @@ def first_and_again(study: str, checkout: Path) -> tuple[Took, Took]:
     return first, again
 
 
+@contextmanager
+def checkout_of(state: str) -> Iterator[Path]:
+    """Give the folder of another checkout, or a checkout of that commit for as long as it is needed."""
+    if Path(state).is_dir():
+        yield Path(state).resolve()
+        return
+    with tempfile.TemporaryDirectory() as place:
+        git = ["git", "-C", str(HERE), "worktree"]
+        if subprocess.run([*git, "add", "--quiet", "--detach", f"{place}/commit", state], check=False).returncode:
+            raise SystemExit(f"first_use: {state} is not a folder and not a commit of this repository.")
+        try:
+            yield Path(place) / "commit"
+        finally:
+            subprocess.run([*git, "remove", "--force", f"{place}/commit"], check=True)
+
+
+def compare(study: str, here: list[tuple[Took, Took]], there: list[tuple[Took, Took]]) -> float:
+    """Print how the processor seconds of two checkouts compare; return the larger ratio, that of the first run or the next."""
+    ratios = [statistics.median(a[i].cpu / b[i].cpu for a, b in zip(here, there, strict=True)) for i in (0, 1)]
+    print(f"{study}: {ratios[0]:.3f} of the other's processor seconds first, {ratios[1]:.3f} again", flush=True)
+    return max(ratios)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("studies", nargs="*", help="names of built-in studies [default: all of them]")
     parser.add_argument("--turns", type=int, default=1, help="how often; medians are printed [default: 1]")
-    parser.add_argument("--against", type=Path, help="another checkout, run in turn")
+    parser.add_argument("--against", metavar="STATE", help="folder of another checkout, or a commit, run in turn")
+    parser.add_argument("--at-most", type=float, default=math.inf, metavar="RATIO", help="exit code 1 above it")
     parser.add_argument("--small", action="store_true", help="one short study")
     given = parser.parse_args()
-    places = [HERE] + ([given.against.resolve()] if given.against else [])
     print("study: first, again [s] (processor s); peak [MiB]; programs, compiling [s]", flush=True)
-    for study in ["short"] if given.small else given.studies or STUDIES:
-        found: dict[Path, list[tuple[Took, Took]]] = {place: [] for place in places}
-        for _ in range(given.turns):
-            for place in places:
-                found[place].append(first_and_again(study, place))
-        for place, each in found.items():
-            first, again = (
-                Took(*map(statistics.median, zip(*turns, strict=True))) for turns in zip(*each, strict=True)
-            )
-            where = f"{study} in {place}" if given.against else study
-            print(
-                f"{where}: {first.wall:.1f}, {again.wall:.1f} ({first.cpu:.1f}, {again.cpu:.1f}); "
-                f"{max(first.peak, again.peak):.0f}; {first.programs:.0f}, {first.compiling:.1f}",
-                flush=True,
-            )
-        if given.against:
-            here, there = (found[place] for place in places)
-            for i, what in enumerate(("first", "again")):
-                ratios = [a[i].wall / b[i].wall for a, b in zip(here, there, strict=True)]
-                print(f"{study}: {what} takes {statistics.median(ratios):.3f} of what the other takes", flush=True)
+    with checkout_of(given.against) if given.against else nullcontext() as other:
+        slower = []
+        for study in ["short"] if given.small else given.studies or STUDIES:
+            took: dict[Path, list[tuple[Took, Took]]] = {place: [] for place in (HERE, other) if place}
+            for _ in range(given.turns):
+                for place in took:
+                    took[place].append(first_and_again(study, place))
+            for place, turns in took.items():
+                first, again = (
+                    Took(*map(statistics.median, zip(*run, strict=True))) for run in zip(*turns, strict=True)
+                )
+                print(
+                    f"{study}{f' in {place}' if other else ''}: {first.wall:.1f}, {again.wall:.1f} "
+                    f"({first.cpu:.1f}, {again.cpu:.1f}); {max(first.peak, again.peak):.0f}; "
+                    f"{first.programs:.0f}, {first.compiling:.1f}",
+                    flush=True,
+                )
+            if other and compare(study, took[HERE], took[other]) > given.at_most:
+                slower.append(study)
+    if slower:
+        raise SystemExit(
+            f"first_use: more than {given.at_most:g} times the processor seconds of {given.against}: {slower}."
+        )
 
 
 if __name__ == "__main__":

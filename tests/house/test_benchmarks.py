@@ -1,5 +1,9 @@
-"""Every script in `benchmarks` runs in its smallest form, with all of its rows and checks, and refuses what does not agree."""
+"""Every script in `benchmarks` runs in its smallest form, with all of its rows and checks, and refuses what does not agree.
 
+No built-in study takes a fifth more than at the commit of the last line of `history.csv`.
+"""
+
+import csv
 import os
 import runpy
 import subprocess
@@ -59,6 +63,40 @@ def test_a_benchmark_runs_whole_in_its_small_form(name):
     assert done.returncode == 0, done.stderr
     for words, many in ROWS[name].items():
         assert sum(words in line for line in done.stdout.splitlines()) >= many, (words, done.stdout)
+
+
+GATE = ("quick", "cart", "unequal-delays", "growth-model", "ncs-two-state", "equal-tuning", "new-plant", "900000-runs")
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_no_study_takes_a_fifth_more_than_at_the_last_release():
+    *_, last = csv.DictReader((FOLDER / "history.csv").open())
+    command = [sys.executable, str(FOLDER / "first_use.py"), *GATE, "--against", last["commit"], "--at-most", "1.2"]
+    done = subprocess.run([*command, "--turns", "2"], capture_output=True, text=True, check=False, cwd=FOLDER.parent)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_first_use_compares_processor_seconds_and_names_what_is_slower(script, monkeypatch, capsys, tmp_path):
+    took = script("first_use")["Took"]
+
+    def run(study, checkout):
+        first = {"quick": 10.0, "cart": 10.0, "outage": 10.0}[study] * (1 if checkout == tmp_path else 1.1)
+        again = 3.0 if study == "cart" and checkout != tmp_path else 2.0
+        return (took(9.0, first, 1.0, 1, 1.0, 64), took(9.0, again, 1.0, 1, 0.0, 64))
+
+    main = script("first_use")["main"]
+    monkeypatch.setitem(main.__globals__, "first_and_again", run)
+    words = ["first_use", "quick", "cart", "outage", "--against", str(tmp_path), "--at-most"]
+    monkeypatch.setattr(sys, "argv", [*words, "1.2"])
+    with pytest.raises(SystemExit, match=r"more than 1.2 times the processor seconds of .*: \['cart'\]"):
+        main()
+    assert "cart: 1.100 of the other's processor seconds first, 1.500 again" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", [*words, "1.6"])
+    main()
+    monkeypatch.setattr(sys, "argv", ["first_use", "quick", "--against", "no-such-commit"])
+    with pytest.raises(SystemExit, match="no-such-commit is not a folder and not a commit"):
+        main()
 
 
 @pytest.fixture
