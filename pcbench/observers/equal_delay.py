@@ -49,7 +49,7 @@ def design(context: DesignContext, options: Options) -> Design:
     if options.variant == "theorem1":
         K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
         rate = spectral_radius(Ad - K @ plant.C) ** (1 / d)
-        gains = assumed_age.gains_of(context, Ad, K, (d,) * len(plant.tau), back=d)
+        gains = assumed_age.gains_of(context, Ad, K, (d,) * len(plant.tau), stride=d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
         rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))

@@ -41,7 +41,7 @@ class Memory(NamedTuple):
 
     xhat: Float[Array, " n"]
     P: Float[Array, "n n"]
-    then: Float[Array, "J n"]  # xhat when the sample was taken
+    sampled_xhat: Float[Array, "J n"]  # xhat when the sample was taken
     K: Float[Array, "J n q"]  # M K: gain of its innovation at tick `covariance_tick`
     covariance_tick: Int[Array, ""]  # the tick of P and K
     sampling_ticks: Int[Array, " J"]  # ticks; -1: none
@@ -56,7 +56,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     return Memory(
         xhat=first.mean,
         P=first.P,
-        then=jnp.zeros((J, n)),
+        sampled_xhat=jnp.zeros((J, n)),
         K=jnp.zeros((J, n, q)),
         covariance_tick=zero,
         sampling_ticks=jnp.full(J, -1),
@@ -90,7 +90,7 @@ def on_sample(gains: Gains, memory: Memory, now: Now, mask: Bool[Array, " q"]) -
     return memory._replace(
         P=P,
         K=L,
-        then=jnp.where(slot[:, None], memory.xhat, memory.then),
+        sampled_xhat=jnp.where(slot[:, None], memory.xhat, memory.sampled_xhat),
         sampling_ticks=jnp.where(slot, now.tick, memory.sampling_ticks),
         n_samples=memory.n_samples + jnp.any(mask),
     )
@@ -100,7 +100,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Add the delayed innovations, multiplied by their propagated gains."""
     sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_memory(gains, memory, now)
     slot = (memory.sampling_ticks == sample.tick).astype(float)
-    expected = gains.C @ (slot @ memory.then)
+    expected = gains.C @ (slot @ memory.sampled_xhat)
     e = jnp.where(sample.mask, linear_filter.decorrelated_value(gains, sample) - expected, 0.0)
     K = jnp.einsum("j,jnq->nq", slot, memory.K)
     return memory._replace(xhat=memory.xhat + K @ e)

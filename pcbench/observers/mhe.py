@@ -62,11 +62,11 @@ class Window(NamedTuple):
     samples: Measurement  # [M]
     path: Float[Array, "M N"]  # z_1 .. z_M, from the last solution
     means: Float[Array, "M N"]  # estimate at each sample when it was the newest
-    spreads: Float[Array, "M N N"]
-    before: Float[Array, " N"]  # m
-    known: Float[Array, "N N"]  # P
-    since: Int[Array, ""]  # tick of m
-    start: Float[Array, " N"]  # z_0, from the last solution
+    covariances: Float[Array, "M N N"]
+    prior_mean: Float[Array, " N"]  # m
+    prior_P: Float[Array, "N N"]  # P
+    prior_tick: Int[Array, ""]  # of m
+    z_0: Float[Array, " N"]  # from the last solution
 
 
 class Options(nonlinear_model.Options):
@@ -96,11 +96,11 @@ def first(gains: Gains, xhat0: Array) -> Window:
         samples=empty_samples._replace(tick=jnp.zeros(M, int)),
         path=row,
         means=row,
-        spreads=rows,
-        before=z,
-        known=gains.P0,
-        since=zero,
-        start=z,
+        covariances=rows,
+        prior_mean=z,
+        prior_P=gains.P0,
+        prior_tick=zero,
+        z_0=z,
     )
 
 
@@ -118,7 +118,7 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
     """Return the chain linearised along a path of states."""
     N, q = path.shape[1], gains.C.shape[0]
-    start_ticks = jnp.append(w.since, w.samples.tick[:-1])
+    start_ticks = jnp.append(w.prior_tick, w.samples.tick[:-1])
 
     def linearize_stage(z: Array, z_next: Array, start_tick: Array, sample: Measurement) -> tuple[Array, ...]:
         f, F, Q = stage(gains, now, z, start_tick, sample.tick)
@@ -127,7 +127,7 @@ def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"
         return F, f - F @ z, Q, H, value, jnp.where(sample.mask, 1.0 / sample.variances(gains.R), 0.0)
 
     rest = lax.map(lambda row: linearize_stage(*row), (path[:-1], path[1:], start_ticks, w.samples))
-    head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
+    head = jnp.eye(N), w.prior_mean, w.prior_P, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
     return Chain(*(jnp.concatenate([a[None], b]) for a, b in zip(head, rest, strict=True)))
 
 
@@ -140,10 +140,10 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
 
     w = state._replace(
         samples=jax.tree.map(shift, state.samples, sample),
-        spreads=shift(state.spreads, P),
-        before=state.means[0],
-        known=state.spreads[0],
-        since=state.samples.tick[0],
+        covariances=shift(state.covariances, P),
+        prior_mean=state.means[0],
+        prior_P=state.covariances[0],
+        prior_tick=state.samples.tick[0],
     )
     path = jnp.concatenate([state.path, clip_parameters(gains, z)[None]])
 
@@ -152,7 +152,7 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
         return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
     path = lax.fori_loop(0, gains.extra.iterations.shape[0], gauss_newton_step, path)
-    return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shift(state.means, path[-1]))
+    return w._replace(mean=path[-1], P=P, path=path[1:], z_0=path[0], means=shift(state.means, path[-1]))
 
 
 OBSERVER = repropagation.observer(

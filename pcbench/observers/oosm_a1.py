@@ -30,7 +30,7 @@ Options = linear_filter.Options
 
 def last_update(gains: Gains, memory: Memory, tick: Array) -> LastUpdate:
     """Return the last update of the memory."""
-    return memory.last
+    return memory.last_update
 
 
 OBSERVER = retrodiction.observer(last_update, neglect_noise=False)

@@ -47,10 +47,10 @@ LANES = 64  # fixed number of runs per call, because it affects the rounding of 
 class Swarm(NamedTuple):
     """Parameters in addition to those of the filter; S particles."""
 
-    room: Float[Room, " S"]
-    start: Float[Leaf, "N N"]  # a root of P0
-    process: Float[Leaf, "N N"]  # a root of Q
-    share: Float[Leaf, ""]  # fraction of effective particles below which they are resampled
+    particles: Float[Room, " S"]
+    P0_root: Float[Leaf, "N N"]
+    Q_root: Float[Leaf, "N N"]
+    resampling_threshold: Float[Leaf, ""]  # fraction of effective particles below which they are resampled
 
 
 class Cloud(NamedTuple):
@@ -73,8 +73,8 @@ class Options(nonlinear_model.Options):
 
 def draw_particles(gains: Gains, z: Float[Array, " N"], words: UInt32[Array, "2"]) -> Cloud:
     """Return the particles of a run at tick 0."""
-    S, zero = gains.extra.room.shape[0], jnp.asarray(0)
-    x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.extra.start.T
+    S, zero = gains.extra.particles.shape[0], jnp.asarray(0)
+    x = z[None] + normals(words, START, zero, (S, z.shape[0])) @ gains.extra.P0_root.T
     x = jax.vmap(lambda z_i: clip_parameters(gains, z_i))(x)
     return Cloud(x, jnp.full(S, -jnp.log(float(S))), words, zero)
 
@@ -98,7 +98,7 @@ def init_random(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
     """Propagate every particle by one tick with process noise; a particle that overflows stays, with weight 0."""
     x = jax.vmap(lambda z: gains.motion(now, z))(state.x)
-    x = x + normals(state.words, PROCESS, now.tick, x.shape) @ gains.extra.process.T
+    x = x + normals(state.words, PROCESS, now.tick, x.shape) @ gains.extra.Q_root.T
     x = jax.vmap(lambda z: clip_parameters(gains, z))(x)
     finite = jnp.all(jnp.isfinite(x), axis=1)
     log_weight = jnp.where(finite, state.weight, -jnp.inf)
@@ -123,7 +123,7 @@ def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.mask[None], square, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     probability, S = jnp.exp(weight), weight.shape[0]
-    is_degenerate = 1.0 / jnp.sum(probability * probability) < gains.extra.share * S
+    is_degenerate = 1.0 / jnp.sum(probability * probability) < gains.extra.resampling_threshold * S
     U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.mask), sample.tick, ())
     parents = jnp.searchsorted(jnp.cumsum(probability), (jnp.arange(S) + U) / S)
     x = jnp.where(is_degenerate, jnp.take(state.x, parents, axis=0, mode="clip"), state.x)

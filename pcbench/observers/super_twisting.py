@@ -55,7 +55,7 @@ class State(NamedTuple):
 
     x: Float[Array, "2"]
     tick: Int[Array, ""]
-    last: Int[Array, ""]
+    last_sample: Int[Array, ""]
 
 
 class Options(StrictOptions):
@@ -95,10 +95,10 @@ def update(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> 
     empty = jnp.zeros(0)
     y = gains.C @ state.x if gains.sensor is None else gains.sensor(sample_now, state.x, empty)
     b = jnp.where(sample.mask, nonlinear_model.value_near(gains, sample.value, y) - y, 0.0)[0]
-    ticks = sample.tick - state.last
+    ticks = sample.tick - state.last_sample
     position, rate = correction(law, b, jnp.where(ticks > 0, ticks * sample_now.dt, law.period))
     x = state.x + law.back @ jnp.stack([position, rate])
-    return State(x, sample.tick, jnp.where(sample.mask[0], sample.tick, state.last))
+    return State(x, sample.tick, jnp.where(sample.mask[0], sample.tick, state.last_sample))
 
 
 def no_innovation(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> InnovationStats:

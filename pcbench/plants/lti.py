@@ -55,7 +55,7 @@ class Params(NamedTuple):
     gain: Leaf
     bias: Leaf
     E: Leaf  # [n, r] of the field
-    push: Leaf  # [n, r] of one tick
+    Gamma_f: Leaf  # [n, r] of one tick
     f: Leaf  # [N+1, r]
 
 
@@ -98,9 +98,9 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     model = actual(numbers)
     Phi, Gamma = one_tick(model, dt)
     gain, bias = np.asarray(numbers.input_gain), np.asarray(numbers.input_bias)
-    E, push, f = np.zeros((len(Phi), 0)), np.zeros((len(Phi), 0)), np.zeros((1, 0))
+    E, Gamma_f, f = np.zeros((len(Phi), 0)), np.zeros((len(Phi), 0)), np.zeros((1, 0))
     if model.E is not None:
-        E, push = model.E, one_tick(model._replace(B=model.E), dt)[1]
+        E, Gamma_f = model.E, one_tick(model._replace(B=model.E), dt)[1]
         f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1, dtype=float), E.shape[1])
     return Params(
         Phi=Phi,
@@ -112,7 +112,7 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
         gain=gain,
         bias=bias,
         E=E,
-        push=push,
+        Gamma_f=Gamma_f,
         f=f,
     )
 
@@ -126,7 +126,7 @@ def prepare_model(model: Model, gain: float, bias: float, dt: float, ticks: int)
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Advance x by one tick under the held now.u."""
     x_next = params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
-    return x_next + params.push @ params.f[now.tick] if params.f.shape[1] else x_next
+    return x_next + params.Gamma_f @ params.f[now.tick] if params.f.shape[1] else x_next
 
 
 def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:

@@ -197,7 +197,7 @@ def test_a_known_input_that_is_one_tick_late_is_caught():
     p = planned("carry", **PERFECT)[12, 30]
     whole, u = without_sign(p), known_input()[:, :1]
     late = np.vstack([[[0.0]], u[:-1]]) - u
-    params = whole.params._replace(push=whole.params.Gamma[:, :1], f=late)
+    params = whole.params._replace(Gamma_f=whole.params.Gamma[:, :1], f=late)
     got = recorded(p, problem=whole._replace(params=params))
     assert min(errors(got).values()) > 1e-4
 

@@ -41,10 +41,10 @@ class Memory(NamedTuple):
     """Memory between ticks."""
 
     run: ModelRun
-    alone: Float[Array, "ring n"]  # xbar at past samples
-    past: Float[Array, "ring n"]  # z at past samples
+    past_xbar: Float[Array, "ring n"]  # xbar at past samples
+    past_z: Float[Array, "ring n"]  # z at past samples
     z: Float[Array, " n"]  # at the last sample
-    push: Float[Array, " n"]  # correction of the estimate at the next sample
+    correction: Float[Array, " n"]  # correction of the estimate at the next sample
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
@@ -59,25 +59,25 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     feedthrough = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
-        x_past = at_sample(memory.alone, k - ages[j]) + at_sample(memory.past, k - ages[j])
+        x_past = at_sample(memory.past_xbar, k - ages[j]) + at_sample(memory.past_z, k - ages[j])
         expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_past) + feedthrough[j])
     is_used = arrival.mask & (k >= gains.first)
     e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
-    return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
+    return memory._replace(z=memory.z + gains.here @ e, correction=memory.correction + gains.next @ e)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Advance by one tick; at a sampling tick, advance the recursion by one sample."""
     run, is_sample = sample_rate.flow(gains.model, memory.run, now)
     k = memory.run.sample
-    past = write(memory.past, k, memory.z, is_sample)
-    z = gains.step @ at_sample(past, k + 1 - gains.every) + memory.push
+    past = write(memory.past_z, k, memory.z, is_sample)
+    z = gains.step @ at_sample(past, k + 1 - gains.every) + memory.correction
     return Memory(
         run,
-        write(memory.alone, k + 1, run.xbar, is_sample),
+        write(memory.past_xbar, k + 1, run.xbar, is_sample),
         past,
         jnp.where(is_sample, z, memory.z),
-        jnp.where(is_sample, 0.0, memory.push),
+        jnp.where(is_sample, 0.0, memory.correction),
     )
 
 
@@ -89,19 +89,21 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
 OBSERVER = Observer(init, no_snapshot, jump, flow, estimate)
 
 
-def gains_of(context: DesignContext, step: Matrix, K: Matrix, ages: tuple[int, ...], back: int | None = None) -> Gains:
-    """Return the gains of xhat(k+1) = step xhat(k) + B u(k) + K e(k).
+def gains_of(
+    context: DesignContext, transition: Matrix, K: Matrix, ages: tuple[int, ...], stride: int | None = None
+) -> Gains:
+    """Return the gains of xhat(k+1) = transition xhat(k) + B u(k) + K e(k).
 
-    With `back`, return those of xhat(k) = step xhat(k - back) + response to the input + K e(k), from sample `back` on.
+    With `stride`: xhat(k) = transition xhat(k - stride) + response to the input + K e(k), from sample `stride` on.
     """
     zeros = np.zeros_like(K)
     return Gains(
         model=sample_rate.model_of(context),
-        step=step,
-        every=np.asarray(back or 1),
+        step=transition,
+        every=np.asarray(stride or 1),
         ages=np.array(ages),
-        here=K if back else zeros,
-        next=zeros if back else K,
-        first=np.asarray(back or 0),
+        here=K if stride else zeros,
+        next=zeros if stride else K,
+        first=np.asarray(stride or 0),
         room=np.zeros(max(context.reach, *ages, 1)),
     )

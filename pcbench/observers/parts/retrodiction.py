@@ -61,7 +61,7 @@ class Memory(NamedTuple):
     g: Float[Array, " n"]
     xhat: Float[Array, " n"]
     posterior: Posterior
-    last: LastUpdate
+    last_update: LastUpdate
     past: Past  # before it
     tick: Int[Array, ""]
 
@@ -83,8 +83,8 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
     """Update by a sample that is at least as new as the newest; channels of one tick count as one update."""
     before, same_tick = memory.posterior, sample.tick == memory.posterior.tick
     prior = linear_filter.predict_posterior(gains, before, sample.tick)
-    P = jnp.where(same_tick, memory.last.P, prior.P)
-    u, U = jnp.where(same_tick, memory.last.u, 0.0), jnp.where(same_tick, memory.last.U, 0.0)
+    P = jnp.where(same_tick, memory.last_update.P, prior.P)
+    u, U = jnp.where(same_tick, memory.last_update.u, 0.0), jnp.where(same_tick, memory.last_update.U, 0.0)
     value, mean, R = linear_filter.decorrelated_value(gains, sample), prior.mean - P @ u, sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
         c, mask = gains.C[channel], sample.mask[channel]
@@ -99,7 +99,7 @@ def forward(gains: Gains, memory: Memory, sample: Measurement) -> Memory:
         return jnp.where(same_tick, past, jnp.concatenate([past[1:], jnp.reshape(entry, (1, *past.shape[1:]))]))
 
     past = Past(*(shift(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
-    return memory._replace(posterior=posterior, last=LastUpdate(P, u, U), past=past)
+    return memory._replace(posterior=posterior, last_update=LastUpdate(P, u, U), past=past)
 
 
 def backward(

@@ -48,7 +48,7 @@ class GuardedPosterior(NamedTuple):
     mean: Float[Array, " joint"]
     P: Float[Array, "joint joint"]
     tick: Int[Array, ""]
-    left_out: Int[Array, " q"]
+    rejections: Int[Array, " q"]
 
 
 AnyPosterior = Posterior | GuardedPosterior  # a filter's state after a sample
@@ -79,7 +79,7 @@ def weigh(
     """Return whether a channel is used, the variance of its noise for the update, and how many were rejected in a row."""
     if not isinstance(before, GuardedPosterior):
         return mask, r, jnp.asarray(0)
-    count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
+    count, z = before.rejections[channel], jnp.abs(nu) / jnp.sqrt(s)
     is_rejected = mask & (z > guard.gate) & (count < guard.opens)
     new_count = jnp.where(is_rejected, count + 1, jnp.where(mask, 0, count))
     return mask & ~is_rejected, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), new_count
