@@ -10,6 +10,7 @@ Source: this project's, after Li, Wang, Tian (PI-PCO), where only F(T) is stable
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -47,13 +48,8 @@ def design(
     J, H, name = corners.J, corners.H, "common-p" if corners.H is None else "common-g"
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
 
-    def ask(solver: str) -> CommonLyapunov:
-        return solvers.solve_or_load(
-            CommonLyapunov, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
-        )
-
     return solvers.solve_certified(
-        ask,
+        partial(solvers.solve_or_load, CommonLyapunov, name, problem, partial(solve, corners, rate, where)),
         lambda solution: certify(solution, maps_of(solution), rate, inequality),
         where,
         hopeless=lambda solution: solution.status == "optimal" and solution.t <= 0,

@@ -13,6 +13,8 @@ All methods report `noise_rms` [n], exact at the mean period: the stationary rms
 caused by measurement noise alone.
 """
 
+from functools import partial
+
 import numpy as np
 
 from pcbench.dynamics import linear
@@ -95,14 +97,10 @@ def at_the_mean(
     def sharpen(solution: current_lmi.CurrentGain) -> current_lmi.CurrentGain:
         return current_lmi.sharpen(solution, Phi, C) if gain is None and method == "lmi" else solution
 
-    def ask(solver: str) -> current_lmi.CurrentGain:
-        name = f"lmi23-{solver.lower()}"
-        return solvers.solve_or_load(
-            current_lmi.CurrentGain, name, (Phi, C), lambda: current_lmi.solve(Phi, C, where, solver)
-        )
-
     if gain is None and method == "lmi":
-        solution, certificate = solvers.solve_certified(ask, certify, where)
+        solve = partial(current_lmi.solve, Phi, C, where)
+        cached_solve = partial(solvers.solve_or_load, current_lmi.CurrentGain, "lmi23", (Phi, C), solve)
+        solution, certificate = solvers.solve_certified(cached_solve, certify, where)
     else:
         L = riccati.current_gain(Phi, C, Q, R, where) if gain is None else gain
         solution = current_lmi.lyapunov(Phi, C, L)

@@ -17,6 +17,7 @@ Not claimed: that larger intervals are unstable, or any property with delayed sa
 """
 
 import itertools
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,13 +135,8 @@ def design(task: HeldTask, L: Matrix | None, scale: Matrix, where: str) -> tuple
         unit_gain,
     )
 
-    def ask(solver: str) -> HeldGain:
-        return solvers.solve_or_load(
-            HeldGain, f"held-{solver.lower()}", arrays, lambda: solve(unit_task, unit_gain, where, solver)
-        )
-
     solution, certificate = solvers.solve_certified(
-        ask,
+        partial(solvers.solve_or_load, HeldGain, "held", arrays, partial(solve, unit_task, unit_gain, where)),
         lambda solution: certify(unit_task, solution),
         where,
         hopeless=lambda solution: solution.status == "optimal" and solution.t <= 0,

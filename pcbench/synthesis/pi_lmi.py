@@ -13,6 +13,7 @@ Source: Peng 2017, Proposition 2. L1 is that of the sliding-mode observer. Not i
 must be below its slowest decay rate. Inequalities are not strict, see `sliding_mode`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class PIGains(NamedTuple):
 def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, Certificate]:
     """Return the least gains with the decay rate beta [1/s] for L1, and their certificate; raise the errors of `solve`."""
     solution, certificate = solvers.solve_certified(
-        lambda solver: solve(plant, L1, beta, where, solver),
+        partial(solve, plant, L1, beta, where),
         lambda solution: certify(solution, plant, L1),
         where,
         unknown_input.rate_to_certify(beta),
@@ -60,8 +61,8 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
             f"{where}: got a rate beta of {beta:.4g} 1/s, expected less than the {least:.4g} 1/s at which A11 - L1 A211 "
             "decays; use a slower beta or a faster L1."
         )
-    name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
-    return solvers.solve_or_load(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
+    problem = (A11b, plant.A21, np.array([beta]))
+    return solvers.solve_or_load(PIGains, "pi-observer", problem, partial(_solve, A11b, plant.A21, beta, where), solver)
 
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:

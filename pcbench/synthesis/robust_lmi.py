@@ -13,6 +13,7 @@ Source: standard (Boyd et al., Linear Matrix Inequalities in System and Control 
 the form that Y = P L makes affine.
 """
 
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -59,20 +60,20 @@ def design(
     """
     if kind == "decay" and decay is None:
         return fastest(task, where)
-    name = f"robust-{kind}"
     least = 0.0 if decay is None else decay * (1 - RATE_TOL)
 
-    def ask(solver: str) -> RobustGain:
-        problem = (*task.maps.at_corners[:3], *task[1:], np.array(decay or 0.0))
-        return solvers.solve_or_load(
-            RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
-        )
+    problem = (*task.maps.at_corners[:3], *task[1:], np.array(decay or 0.0))
 
     def hopeless(solution: RobustGain) -> bool:
         return kind == "decay" and solution.status == "optimal" and solution.cost >= 0
 
     return solvers.solve_certified(
-        ask, lambda solution: certify(solution, task, kind), where, least, hopeless, solver_names
+        partial(solvers.solve_or_load, RobustGain, f"robust-{kind}", problem, partial(solve, task, kind, decay, where)),
+        lambda solution: certify(solution, task, kind),
+        where,
+        least,
+        hopeless,
+        solver_names,
     )
 
 

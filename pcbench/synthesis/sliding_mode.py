@@ -13,6 +13,7 @@ than alpha, P1 may grow along it at no cost, and the printed minimum need not ex
 first of BOUNDS with an answer.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +45,7 @@ def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Ce
     """Return the least gains with the decay rate alpha [1/s], and their certificate; raise the errors of `solve`."""
     least = unknown_input.rate_to_certify(alpha)
     solution, certificate = solvers.solve_certified(
-        lambda solver: solve(plant, alpha, where, solver), lambda solution: certify(solution, plant), where, least
+        partial(solve, plant, alpha, where), lambda solution: certify(solution, plant), where, least
     )
     return solution, unknown_input.require_rate(certificate, alpha, where)
 
@@ -57,7 +58,7 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> S
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
     return solvers.solve_or_load(
-        SlidingModeGains, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
+        SlidingModeGains, "sliding-mode", problem, partial(_solve, plant, alpha, where), solver
     )
 
 

@@ -113,9 +113,14 @@ def solve_certified(
 
 
 def solve_or_load(
-    solution_type: Callable[..., Solution], name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Solution]
+    solution_type: Callable[..., Solution],
+    problem_name: str,
+    problem: tuple[np.ndarray, ...],
+    solve: Callable[[str], Solution],
+    solver: str,
 ) -> Solution:
-    """Return a `solution_type` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and store it."""
+    """Return an answer, a `solution_type` (a NamedTuple of arrays, numbers, strings), from the cache, or solve and store it."""
+    name = f"{problem_name}-{solver.lower()}"
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
     label = f"{name} {_solvers()}".encode()
     key = hashlib.sha256(bits + label + _source(solution_type.__module__) + _source(__name__)).hexdigest()[:32]
@@ -124,7 +129,7 @@ def solve_or_load(
         fields = json.loads(path.read_text())
         return solution_type(**{k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()})
     except (OSError, ValueError, TypeError, AttributeError):
-        solution = solve()
+        solution = solve(solver)
         keep(path, _to_json(solution))
         return solution
 

@@ -54,7 +54,7 @@ def test_that_of_another_user_is_refused_by_all_that_read_it(place, monkeypatch)
     monkeypatch.setattr(os, "geteuid", lambda: place.stat().st_uid + 1)
     for read in (
         config.setup,
-        lambda: solvers.solve_or_load(Found, "name", (), lambda: pytest.fail("nothing is solved")),
+        lambda: solvers.solve_or_load(Found, "name", (), lambda solver: pytest.fail("nothing is solved"), "SCS"),
     ):
         with pytest.raises(UserError, match="that another user owns"):
             read()

@@ -148,10 +148,12 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
-    kept = [
-        solvers.solve_or_load(current_lmi.CurrentGain, "lmi23", (Phi, C), partial(current_lmi.solve, Phi, C, "test")).L
-        for Phi in (slow, 0.9 * slow, slow)
-    ]
+
+    def gain(Phi):
+        solve = partial(current_lmi.solve, Phi, C, "test")
+        return solvers.solve_or_load(current_lmi.CurrentGain, "lmi23", (Phi, C), solve, "CLARABEL").L
+
+    kept = [gain(Phi) for Phi in (slow, 0.9 * slow, slow)]
     assert not np.allclose(kept[0], kept[1])
     np.testing.assert_array_equal(kept[0], kept[2])
     assert len(list(tmp_path.rglob("*.json"))) == 2
@@ -162,7 +164,7 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
     kind, shapes = current_lmi.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
         found = solvers.solve_or_load(
-            kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
+            kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, ""), "SCS"
         )
         assert found.L.shape == shape
     assert len(list(tmp_path.rglob("*.json"))) == len(shapes)
