@@ -37,7 +37,6 @@ from pcbench.observers.parts.nonlinear_model import (
     Gains,
     clip_parameters,
     decorrelate,
-    linearize_output,
     linearize_sensor,
     now_at,
     predict_joint,
@@ -162,15 +161,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         z, P = state.mean[N:], state.P[N:, N:]
     else:
         z, P = predict_joint(gains, now, first, sample.tick)
-    (y, C), prior = linearize_output(gains, now_at(now, sample.tick), z), z
-    value, stats, R = value_near(gains, sample.value, y), kalman.empty_stats(), sample.variances(gains.R)
-    for channel in range(C.shape[0]):
-        c, r = C[channel], R[channel]
-        nu, s = value[channel] - y[channel] - c @ (z - prior), c @ P @ c + r
-        stats = kalman.add_innovation(stats, nu, s, mask[channel])
-        K = kalman.gain(P @ c, s, mask[channel])
-        z, P = z + K * nu, kalman.covariance(P, K, c, r)
-    return stats
+    return kalman.update_linearized(gains, now_at(now, sample.tick), z, P, sample._replace(mask=mask), z)[2]
 
 
 def _vmap_large(f: Callable[..., Any]) -> Callable[..., Any]:

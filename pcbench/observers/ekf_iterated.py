@@ -12,12 +12,10 @@ Not claimed: convergence of the iteration. There is no step-size control.
 """
 
 import numpy as np
-from jax import Array
 from pydantic import Field
 
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import LinearizedSensor
-from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, linearize_output
+from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.repropagation import State
 from pcbench.protocols import InnovationStats, Now
@@ -36,25 +34,17 @@ def tick(gains: Gains, now: Now, state: State) -> State:
     return state._replace(mean=clip_parameters(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
 
-def update_about(
-    gains: Gains, now: Now, state: State, sample: Measurement, z_lin: Array
-) -> tuple[Array, Array, InnovationStats]:
-    """Return mean, covariance and innovation statistics after a sample, with the sensor linearised at `z_lin`."""
-    sensor = LinearizedSensor(*linearize_output(gains, now, z_lin), z_lin)
-    return kalman.update_linearized(gains, state.mean, state.P, sensor, sample)
-
-
 def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
     """Update by a sample of the state's tick, with as many iterations as `extra` has entries."""
     z, P = state.mean, state.P
     for _ in range(gains.extra.shape[0]):
-        z, P, _ = update_about(gains, now, state, sample, z)
+        z, P, _ = kalman.update_linearized(gains, now, state.mean, state.P, sample, z)
     return state._replace(mean=clip_parameters(gains, z), P=P)
 
 
 def innovation_at_mean(gains: Gains, now: Now, state: State, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, with the sensor linearised at the prediction."""
-    return update_about(gains, now, state, sample, state.mean)[2]
+    return kalman.update_linearized(gains, now, state.mean, state.P, sample, state.mean)[2]
 
 
 OBSERVER = repropagation.observer(repropagation.FilterFunctions(tick, update, innovation_at_mean))

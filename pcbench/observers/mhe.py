@@ -28,7 +28,7 @@ from pydantic import Field
 
 from pcbench.errors import UserError, brief_repr
 from pcbench.observers import ekf_iterated
-from pcbench.observers.parts import nonlinear_model, reorder_buffer, repropagation, structured_qp
+from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, repropagation, structured_qp
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
     clip_parameters,
@@ -133,7 +133,7 @@ def linearize_path(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"
 
 def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window:
     """Insert a sample of the state's tick into the window, drop the oldest, and solve for all states again."""
-    z, P, _ = ekf_iterated.update_about(gains, now, state, sample, state.mean)
+    z, P, _ = kalman.update_linearized(gains, now, state.mean, state.P, sample, state.mean)
 
     def shift(rows: Array, entry: Array) -> Array:
         return jnp.concatenate([rows[1:], jnp.asarray(entry)[None]])

@@ -26,8 +26,8 @@ from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, nonlinear_model, repropagation
-from pcbench.observers.parts.kalman import LinearizedSensor, Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, linearize_output, outputs_at_points
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.nonlinear_model import Gains, clip_parameters, outputs_at_points
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Leaf, Now
@@ -92,8 +92,7 @@ def update_by_points(
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean, covariance and innovation statistics after a sample."""
     if gains.sensor is None:  # linear: no points are needed
-        sensor = LinearizedSensor(*linearize_output(gains, now, state.mean), state.mean)
-        return kalman.update_linearized(gains, state.mean, state.P, sensor, sample)
+        return kalman.update_linearized(gains, now, state.mean, state.P, sample, state.mean)
 
     points = sigma_points(gains, state)
     joint = jnp.concatenate([points, outputs_at_points(gains, now, points)], axis=1)

@@ -26,9 +26,9 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
-from pcbench.observers.parts.nonlinear_model import Gains, value_near
+from pcbench.observers.parts.nonlinear_model import Gains, linearize_output, value_near
 from pcbench.observers.parts.reorder_buffer import Measurement
-from pcbench.protocols import InnovationStats
+from pcbench.protocols import InnovationStats, Now
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, DesignContext
 
@@ -86,22 +86,20 @@ def add_innovation(
     )
 
 
-class LinearizedSensor(NamedTuple):
-    """A sensor linearised at `z_lin`."""
-
-    y: Float[Array, " q"]
-    H: Float[Array, "q N"]
-    z_lin: Float[Array, " N"]
-
-
 def update_linearized(
-    gains: Gains, z: Float[Array, " N"], P: Float[Array, "N N"], sensor: LinearizedSensor, sample: Measurement
+    gains: Gains,
+    now: Now,
+    z: Float[Array, " N"],
+    P: Float[Array, "N N"],
+    sample: Measurement,
+    z_lin: Float[Array, " N"],
 ) -> tuple[Array, Array, InnovationStats]:
-    """Return mean, covariance and innovation statistics of z after a sample, by a linearised sensor."""
-    value, stats, R = value_near(gains, sample.value, sensor.y), empty_stats(), sample.variances(gains.R)
+    """Return mean, covariance and innovation statistics of z after a sample, by the output linearised at z_lin."""
+    y, H = linearize_output(gains, now, z_lin)
+    value, stats, R = value_near(gains, sample.value, y), empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
-        r, mask, h = R[channel], sample.mask[channel], sensor.H[channel]
-        nu, s = value[channel] - sensor.y[channel] - h @ (z - sensor.z_lin), h @ P @ h + r
+        r, mask, h = R[channel], sample.mask[channel], H[channel]
+        nu, s = value[channel] - y[channel] - h @ (z - z_lin), h @ P @ h + r
         stats = add_innovation(stats, nu, s, mask)
         K = gain(P @ h, s, mask)
         z, P = z + K * nu, covariance(P, K, h, r)
