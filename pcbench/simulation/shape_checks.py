@@ -69,25 +69,15 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         _check_memory(label, "init_random", output, memory)
     if (covariance := observer.covariance) is not None:
         P = shapes_of("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, at_jump(p))), memory)
-        if P.shape != (*xhat.shape, *xhat.shape):
-            raise UserError(
-                f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: the "
-                "covariance of the errors of all estimated signals; return all of it."
-            )
+        meaning = "the covariance of the errors of all estimated signals; return all of it"
+        _require_shape(label, "covariance", P, (*xhat.shape, *xhat.shape), meaning)
     if (bounds := observer.bounds) is not None:
         ends = shapes_of("bounds", lambda p, m: jnp.asarray(bounds(p.gains[label], m)), memory)
-        if ends.shape != (2, *xhat.shape):
-            raise UserError(
-                f"observer {label}: bounds returned shape {ends.shape}, expected {(2, *xhat.shape)}: the lower and upper "
-                "bounds of all estimated signals; return both."
-            )
+        meaning = "the lower and upper bounds of all estimated signals; return both"
+        _require_shape(label, "bounds", ends, (2, *xhat.shape), meaning)
     if (delay := observer.delay) is not None:
         moments = shapes_of("delay", lambda p, m: jnp.asarray(delay(p.gains[label], m, at_jump(p))), memory)
-        if moments.shape != (2,):
-            raise UserError(
-                f"observer {label}: delay returned shape {moments.shape}, expected (2,): the mean delay and its standard "
-                "deviation [s]; return both."
-            )
+        _require_shape(label, "delay", moments, (2,), "the mean delay and its standard deviation [s]; return both")
     if observer.innovation is not None:
         stats = shapes_of("innovation", at_arrival(observer.innovation), memory, value, snapshot)
         if (shapes := [leaf.shape for leaf in jax.tree.leaves(stats)]) not in (
@@ -104,6 +94,11 @@ def check(label: str, observer: Observer, p: GridPointParams, continuous: bool =
         _check_memory(label, "field", output, memory)
     next_memory = shapes_of("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
     _check_memory(label, "flow", next_memory, memory)
+
+
+def _require_shape(label: str, name: str, output: Any, shape: tuple[int, ...], meaning: str) -> None:
+    if output.shape != shape:
+        raise UserError(f"observer {label}: {name} returned shape {output.shape}, expected {shape}: {meaning}.")
 
 
 def _check_memory(label: str, name: str, output: PyTree, memory: Memory) -> None:
