@@ -260,11 +260,10 @@ def _is_free(study: Study, version: Version, options: TomlTable) -> bool:
         return False
     trial_study = study.model_copy(update={"options": study.options | {observer: options}, "tuning": "published"})
     cell = one_cell(trial_study, [observer], [])[1]
-    entry, cell_options = cell.entry(observer), cell.options[observer]
     context = planning.context_of(planning.with_computing_time(cell, observer))
-    design = planning.run_design(observer, entry, context, cell_options)
+    design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
     try:
-        return bool(tune.free_parameters(observer, entry, context, cell_options, design, only, study.name))
+        return bool(tune.free_parameters(observer, cell, context, design, only, study.name))
     except parameters.NothingFree:
         return False
 

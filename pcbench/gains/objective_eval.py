@@ -130,14 +130,13 @@ def exact_cell(aim: Objective, p: Plan, where: str) -> Realisation:
     return realisation
 
 
-def exact_evaluator(
-    p: Plan, realisation: Realisation, aim: Objective, count: int, design: Callable[[Vector], Gains], where: str
-) -> Evaluate:
+def exact_evaluator(p: Plan, aim: Objective, count: int, design: Callable[[Vector], Gains], where: str) -> Evaluate:
     """Return a function that evaluates a point of `count` free parameters; it returns infinity without an exact value.
 
     It raises UserError if there is no exact value at the first point, which is a property of the observer, not of its gains.
     """
-    call, (kind, part) = gradients.build_gradients(p, realisation, count), SUMS[aim.base]
+    call = gradients.build_gradients(p, exact_cell(aim, p, where), count)
+    kind, part = SUMS[aim.base]
     tick_count = p.cell.times.ticks - (p.cell.times.tail if part else 0)
     points: list[Vector] = []
 

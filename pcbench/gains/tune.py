@@ -3,11 +3,11 @@
 With `exact_objective`, the objective is its expected value over all noise, without seeds and without validation.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel
 
 from pcbench import planning
 from pcbench.dataset import storage
@@ -19,12 +19,12 @@ from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
 from pcbench.gains.validation import judge, rejection_reason
-from pcbench.observers import ObserverSpec
 from pcbench.planning import padding
-from pcbench.protocols import Gains, Leaf
+from pcbench.protocols import Gains
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import Study, merge_options, parse
+from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.options import with_options_of
 from pcbench.study.plugins.references import absolute
@@ -101,76 +101,98 @@ def tune(
         history.copy_from_cache(target, task, about, basis)
         if record := history.load_finished(target, task, about, basis):
             return Tuning(objective=aim, **record)
-        context = planning.context_of(planning.with_computing_time(cell, observer))
-        start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
-        if decay := getattr(cell.options[observer], "decay", None):
-            # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
-            study, cell = parse.one_cell(
-                replace_options(study, observer, {"decay": RATE_FRACTION * decay}), [observer], []
-            )
-        options, entry = cell.options[observer], cell.entry(observer)
-        free, start = free_parameters(observer, entry, context, options, start_design, only, where)
-
-        def design(at: Vector) -> Gains:
-            return planning.run_design(observer, entry, context, parameters.with_values(options, free, at)).gains
-
-        (p,) = padding.fit(list(planning.drafts([cell])))
-        objective_eval.check_estimates(p, aim, where)
-        optimizer_name = objective_eval.method_for(optimizer, aim, p, exact_objective, where)
-        if exact_objective:
-            realisation = objective_eval.exact_cell(aim, p, where)
-            evaluate = objective_eval.exact_evaluator(p, realisation, aim, len(start), design, where)
-        else:
-            evaluate = objective_eval.evaluator(optimizer_name, p, aim, study.root_seed, np.arange(*training), design)
-        trials = History(target, about, parameters.entries(free), basis)
-        progress.begin("points", budget)
-        progress.note("compiling")
-        descend(optimizer_name, trials, start, evaluate, budget, where, progress)
-        tuned_options = parameters.to_options(free, np.array(trials.best.parameters))
-        if exact_objective:
-            judgements = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)]
-            kept_start = ""
-        else:
-            progress.note("validation on other seeds")
-            judgements = judge(study, observer, tuned_options, aim, {"training": training, "validation": validation})
-            kept_start = rejection_reason(judgements)
-        final_options = parameters.with_values(options, free, start if kept_start else np.array(trials.best.parameters))
-        tuned = Tuning(
-            study=with_options(study, observer, {} if kept_start else tuned_options),
-            start=parameters.to_options(free, start),
-            best=tuned_options,
-            kept_start=kept_start,
-            judgements=judgements,
-            points=trials.points,
-            method=optimizer_name,
-            objective=aim,
-            certified=is_certified(planning.run_design(observer, entry, context, final_options).certificate._asdict()),
-            exact=exact_objective,
+        tuned = _optimize(
+            study,
+            cell,
+            observer,
+            aim,
+            lambda names: History(target, about, names, basis),
+            budget=budget,
+            optimizer=optimizer,
+            only=only,
+            seeds={} if exact_objective else {"training": training, "validation": validation},
+            where=where,
+            progress=progress,
         )
         history.finish(target, task, tuned)
         history.keep_result(target, task, basis)
         return tuned
 
 
-def free_parameters(
+def _optimize(
+    study: Study,
+    cell: Cell,
     observer: str,
-    entry: ObserverSpec,
-    context: DesignContext,
-    options: BaseModel,
-    design: Design,
+    aim: Objective,
+    open_history: Callable[[list[str]], History],
+    *,
+    budget: int,
+    optimizer: str | None,
     only: list[str] | None,
+    seeds: dict[str, Seeds],
     where: str,
+    progress: Progress,
+) -> Tuning:
+    """Return the best of `budget` points, validated on other `seeds`; without seeds, the objective is its expected value."""
+    context = planning.context_of(planning.with_computing_time(cell, observer))
+    start_design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
+    if decay := getattr(cell.options[observer], "decay", None):
+        # a gain designed for a rate barely has it, so a certificate of that rate may fail for a gain near it
+        study, cell = parse.one_cell(replace_options(study, observer, {"decay": RATE_FRACTION * decay}), [observer], [])
+    free, start = free_parameters(observer, cell, context, start_design, only, where)
+    gains = gains_at(observer, cell, context, free)
+    (p,) = padding.fit(list(planning.drafts([cell])))
+    objective_eval.check_estimates(p, aim, where)
+    method = objective_eval.method_for(optimizer, aim, p, not seeds, where)
+    if seeds:
+        evaluate = objective_eval.evaluator(method, p, aim, study.root_seed, np.arange(*seeds["training"]), gains)
+    else:
+        evaluate = objective_eval.exact_evaluator(p, aim, len(start), gains, where)
+    trials = open_history(parameters.entries(free))
+    progress.begin("points", budget)
+    progress.note("compiling")
+    descend(method, trials, start, evaluate, budget, where, progress)
+    best = np.array(trials.best.parameters)
+    tuned_options, kept_start = parameters.to_options(free, best), ""
+    if seeds:
+        progress.note("validation on other seeds")
+        judgements = judge(study, observer, tuned_options, aim, seeds)
+        kept_start = rejection_reason(judgements)
+    else:
+        judgements = [objective_eval.exact_judgement(aim, trials.points[0].value, trials.best.value)]
+    chosen = parameters.with_values(cell.options[observer], free, start if kept_start else best)
+    return Tuning(
+        study=with_options(study, observer, {} if kept_start else tuned_options),
+        start=parameters.to_options(free, start),
+        best=tuned_options,
+        kept_start=kept_start,
+        judgements=judgements,
+        points=trials.points,
+        method=method,
+        objective=aim,
+        certified=is_certified(
+            planning.run_design(observer, cell.entry(observer), context, chosen).certificate._asdict()
+        ),
+        exact=not seeds,
+    )
+
+
+def gains_at(
+    observer: str, cell: Cell, context: DesignContext, free: list[parameters.Free]
+) -> Callable[[Vector], Gains]:
+    """Return the observer's gains as a function of its free parameters."""
+    entry, options = cell.entry(observer), cell.options[observer]
+    return lambda at: planning.run_design(observer, entry, context, parameters.with_values(options, free, at)).gains
+
+
+def free_parameters(
+    observer: str, cell: Cell, context: DesignContext, design: Design, only: list[str] | None, where: str
 ) -> tuple[list[parameters.Free], Vector]:
     """Return the free parameters on which the gains depend, and their start; errors as of `parameters.start`."""
-    numbers = design.certificate.numbers
+    entry, options, numbers = cell.entry(observer), cell.options[observer], design.certificate.numbers
     free, at = parameters.start(observer, entry, options, numbers, only, where)
-
-    def gains(point: Vector) -> list[Leaf]:
-        return optimizers.numbers(
-            planning.run_design(observer, entry, context, parameters.with_values(options, free, point)).gains
-        )
-
-    sensitive = parameters.sensitive_names(free, at, gains)
+    gains = gains_at(observer, cell, context, free)
+    sensitive = parameters.sensitive_names(free, at, lambda point: optimizers.numbers(gains(point)))
     if not sensitive:
         names = ", ".join(f.name for f in free)
         raise parameters.NothingFree(

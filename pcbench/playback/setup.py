@@ -27,7 +27,7 @@ from pcbench.simulation import shape_checks
 from pcbench.simulation.types import GridPointParams, InputWindow, Layout
 from pcbench.study.grid import Cell
 from pcbench.study.load import StudyLike
-from pcbench.synthesis.certificate import Certificate, DesignContext, power_of_2
+from pcbench.synthesis.certificate import Certificate, Design, DesignContext, power_of_2
 
 LENGTH = 1 << 16  # ticks of a block, at most
 HORIZONS = 10  # largest number of durations of the plant file per row; a longer recording mixes clocks or units
@@ -139,18 +139,8 @@ def room_of(a: Playback) -> Room:
 
 def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     """Return the designed observers for a recording; raise UserError if it does not fit the plant or the duration."""
-    s, cell = a.cell.scenario, a.cell
-    where = f"{a.log.name} on {s.name}"
-    if s.sampling.continuous:
-        raise UserError(
-            f"{where}: got a scenario that measures continuously, expected one that samples; use another plant file."
-        )
-    if room.longest_gap + room.latest > cell.times.ticks:
-        raise UserError(
-            f"{where}: got {room.longest_gap * s.dt:g} s without a sample before row {room.longest_gap_row} and delays of up "
-            f"to {room.latest * s.dt:g} s, expected less than the duration of {s.duration:g} s in all; check the unit "
-            "of the times (time_unit), cut the log there, or write a longer duration."
-        )
+    s, cell, where = a.cell.scenario, a.cell, f"{a.log.name} on {a.cell.scenario.name}"
+    _require_fit(a, room, where)
     context = planning.context_of(cell)
     m, signals = context.model.B.shape[1], len(estimated_of(s))
     if a.log.inputs is not None and len(a.log.inputs.names) != m:
@@ -165,26 +155,9 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         latest=max(context.latest, room.latest),
         reach=max(context.reach, *(-(-room.latest // max(period, 1)) for period in context.period)),
     )
-    for label in cell.options:
-        if cell.entry(label).observer.uses_silence and any(s.sampling.send_threshold):
-            raise UserError(
-                f"{where}: got {label} and a send_threshold, expected an observer that uses measurements alone: a recording "
-                "contains no samples that were not sent; use kf."
-            )
     designs = {o: planning.run_design(o, cell.entry(o), context, options) for o, options in cell.options.items()}
     if with_std := a.survey.with_std():
-        for label, design in designs.items():
-            if not cell.entry(label).measurement_noise:
-                supported = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
-                raise UserError(
-                    f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
-                    f"that uses it: {supported}; use one of these, or leave std and variance out of the recording."
-                )
-            if getattr(design.gains, "mix", None) is not None:
-                raise UserError(
-                    f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
-                    "be correlated between outputs, expected one of them; leave one out."
-                )
+        _require_noise_per_sample(cell, designs, with_std, where)
     back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.oosm_lag + 2) * max(room.longest_gap, 1)))
     starts_at_truth = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
@@ -221,3 +194,40 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         m=m,
         variances=context.noise_variance if with_std else None,
     )
+
+
+def _require_fit(a: Playback, room: Room, where: str) -> None:
+    """Raise UserError for a scenario or an observer that is not for recordings, or for gaps longer than the duration."""
+    s, cell = a.cell.scenario, a.cell
+    if s.sampling.continuous:
+        raise UserError(
+            f"{where}: got a scenario that measures continuously, expected one that samples; use another plant file."
+        )
+    if room.longest_gap + room.latest > cell.times.ticks:
+        raise UserError(
+            f"{where}: got {room.longest_gap * s.dt:g} s without a sample before row {room.longest_gap_row} and delays of up "
+            f"to {room.latest * s.dt:g} s, expected less than the duration of {s.duration:g} s in all; check the unit "
+            "of the times (time_unit), cut the log there, or write a longer duration."
+        )
+    for label in cell.options:
+        if cell.entry(label).observer.uses_silence and any(s.sampling.send_threshold):
+            raise UserError(
+                f"{where}: got {label} and a send_threshold, expected an observer that uses measurements alone: a recording "
+                "contains no samples that were not sent; use kf."
+            )
+
+
+def _require_noise_per_sample(cell: Cell, designs: dict[str, Design], with_std: list[str], where: str) -> None:
+    """Raise UserError for an observer that does not use the noise that a recording states for each measurement."""
+    for label, design in designs.items():
+        if not cell.entry(label).measurement_noise:
+            supported = ", ".join(name for name, entry in OBSERVERS.items() if entry.measurement_noise)
+            raise UserError(
+                f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
+                f"that uses it: {supported}; use one of these, or leave std and variance out of the recording."
+            )
+        if getattr(design.gains, "mix", None) is not None:
+            raise UserError(
+                f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
+                "be correlated between outputs, expected one of them; leave one out."
+            )

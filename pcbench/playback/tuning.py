@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
-from jaxtyping import PyTree
 from pydantic import BaseModel
 
 from pcbench import planning
@@ -27,15 +26,17 @@ from pcbench.playback import delay_profile, delay_search, innovation_tests, like
 from pcbench.playback.delay_search import ChannelDelay
 from pcbench.playback.likelihood import SampleLikelihood
 from pcbench.playback.setup import Playback, PlaybackSetup, open_playback
+from pcbench.playback.stream import Part
 from pcbench.recordings.corrections import toml_with_offsets
 from pcbench.recordings.log import Floats, Ints
 from pcbench.runtime import config, ending
 from pcbench.runtime.progress import SILENT, Progress
-from pcbench.study import parse
+from pcbench.study import Study, parse
+from pcbench.study.grid import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.load import StudyLike
 from pcbench.study.serialize import digest
-from pcbench.synthesis.certificate import Design
+from pcbench.synthesis.certificate import Design, DesignContext
 
 UNLIKELY = 0.05  # p-value of whiteness below which intervals are reported as too short
 CORRECTED = "recording.toml"  # the recording with corrected timestamps
@@ -103,127 +104,135 @@ def tune_log(
         study, _ = parse.one_cell(plant, [observer], overrides or [])
         a = open_playback(log, plant, [observer], delay=delay, start=start, overrides=overrides)
         where = f"tune {label} on {a.name}"
-        entry, options = a.cell.entry(label), a.cell.options[label]
-        _require(entry, budget, where)
+        _require(a.cell.entry(label), budget, where)
         delays: list[ChannelDelay] = []
         if find_delay:
             delays, delay_remarks = _find_delays(a, only, max_delay, where, progress)
-            offsets = -np.array([each.estimate for each in delays])
+            offsets = -np.array([d.estimate for d in delays])
             a = open_playback(
                 log, plant, [observer], delay=delay, start=start, overrides=overrides, clock_offsets=offsets
             )
             a.remarks.extend(delay_remarks)
-        p, part = likelihood.load_recording(a)
-        context, held_out_start = p.context, innovation_tests.held_out_start(a.last_tick)
-        start_design = planning.run_design(label, entry, context, options)
-        names = _tuned_options(entry, options, start_design, only, where)
-        free, at_start = tune.free_parameters(label, entry, context, options, start_design, names, where)
-        if any(f.kind == "covariance" for f in free):
-            raise UserError(
-                f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
-            )
-
-        def design(point: Vector) -> PyTree:
-            return planning.run_design(label, entry, context, parameters.with_values(options, free, point)).gains
-
-        def fit(history: History, at: Vector, end: int) -> Vector:
-            tune.descend("descent", history, at, lambda point: _value(evaluate(point), end), budget, where, progress)
-            return np.array(history.best.parameters)
-
-        arrivals = part.window.mask.sum((1, 2))
-        _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
         target = storage.target(str(out) if out is not None else spare)
-        samples_hash = sha256()
-        for each in (*part.window, part.inputs):
-            samples_hash.update(b"" if each is None else np.ascontiguousarray(each).tobytes())
-        entries = parameters.entries(free)
-        samples_digest, study_digest = samples_hash.hexdigest()[:12], digest(study, [a.cell])[:12]
-        description = f"{where}: {', '.join(entries)} of {samples_digest}, for {study_digest}"
-        trials = History(target, description, entries, basis_of(study, a.cell))
-        progress.begin("points", budget)
-        progress.note("compiling")
-        evaluate = likelihood.evaluator(p, part, design)
-        before = evaluate(at_start)
-        # an observer may skip some
-        _require_samples(before.tick, before.stats[:, 1], held_out_start, len(at_start), where)
-        if not np.isfinite(before.log_likelihood).all():
-            raise tune.NoStart(
-                f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
-            )
-        if not entry.smooth:
-            _require_slope(evaluate, at_start, before, where)
-        if n_skipped := int(arrivals.sum() - before.stats[:, 1].sum()):
-            a.remarks.append(
-                f"{label} reports no innovation for {n_skipped:,} of {int(arrivals.sum()):,} measured numbers, so they are not "
-                "in its likelihood."
-            )
-        after = evaluate(first_fit := fit(trials, at_start, held_out_start))
-        refit = History(target, f"{description}, fitted to the whole log", entries, basis_of(study, a.cell), REFIT)
-        progress.begin("points", budget)
-        best = fit(refit, first_fit, a.last_tick + 1)
-
-        def total(at: Vector) -> tuple[float, Vector]:
-            samples = evaluate(at)
-            return float(samples.log_likelihood.sum()), np.asarray(samples.score.sum(0))
-
-        is_held_out, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
-        diff = after.log_likelihood[is_held_out] - before.log_likelihood[is_held_out]
-        n_numbers = float(before.stats[is_held_out, 1].sum())
-        gain, se = float(diff.sum() / n_numbers), float(np.std(diff, ddof=1) * np.sqrt(len(diff)) / n_numbers)
-        reason = (
-            "" if gain >= -MAX_WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
-        )
-        low, high = innovation_tests.intervals(total, best) if is_converged else (np.full(len(best), np.nan),) * 2
-        intensities = _intensities(free, at_start, best, low, high)
-        held_out = {what: _results_of(each.stats[is_held_out]) for what, each in (("start", before), ("tuned", after))}
-        tuned = LogTuning(
-            study=tune.with_options(study, label, {} if reason else parameters.to_options(free, best)),
-            start=parameters.to_options(free, at_start),
-            best=parameters.to_options(free, best),
-            kept_start=reason,
-            intensities=intensities,
-            held_out=held_out,
-            gain=gain,
-            gain_se=se,
-            points=[*trials.points, *refit.points],
-            notes=[
-                *a.remarks,
-                *_factors(a, p, parameters.to_options(free, best)),
-                *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
-            ],
-            log_likelihood=total(at_start if reason else best)[0] / float(before.stats[:, 1].sum()),
-            delays=delays,
-        )
-        _write(tuned, target, description)
+        tuned = _fit(study, a, label, only, budget, target, where, progress)
         if delays and out is not None:
             stamp_offsets = {d.channel: -d.estimate for d in delays}
             storage.write_file(
                 target, CORRECTED, toml_with_offsets(Path(log), stamp_offsets, delay, Path(out)).encode()
             )
-        return tuned
+        return tuned._replace(delays=delays)
+
+
+def _fit(
+    study: Study,
+    a: Playback,
+    label: str,
+    only: list[str] | None,
+    budget: int,
+    target: storage.Target,
+    where: str,
+    progress: Progress,
+) -> LogTuning:
+    """Return the result of both fits, and write it with their histories to `target`."""
+    p, part = likelihood.load_recording(a)
+    free, at_start = _free_intensities(label, a.cell, p.context, only, where)
+    if any(f.kind == "covariance" for f in free):
+        raise UserError(
+            f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
+        )
+    held_out_start, arrivals = innovation_tests.held_out_start(a.last_tick), part.window.mask.sum((1, 2))
+    _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
+    entries, basis = parameters.entries(free), basis_of(study, a.cell)
+    description = f"{where}: {', '.join(entries)} of {_digest_of(part)}, for {digest(study, [a.cell])[:12]}"
+    trials = History(target, description, entries, basis)
+    progress.begin("points", budget)
+    progress.note("compiling")
+    evaluate = likelihood.evaluator(p, part, tune.gains_at(label, a.cell, p.context, free))
+    before = evaluate(at_start)
+    # an observer may skip some
+    _require_samples(before.tick, before.stats[:, 1], held_out_start, len(at_start), where)
+    _require_start(evaluate, at_start, before, a.cell.entry(label), where)
+    n_numbers = float(before.stats[:, 1].sum())
+    if n_skipped := int(arrivals.sum() - n_numbers):
+        a.remarks.append(
+            f"{label} reports no innovation for {n_skipped:,} of {int(arrivals.sum()):,} measured numbers, so they are not "
+            "in its likelihood."
+        )
+
+    def fit(history: History, at: Vector, end: int) -> Vector:
+        tune.descend("descent", history, at, lambda point: _value(evaluate(point), end), budget, where, progress)
+        return np.array(history.best.parameters)
+
+    def total(at: Vector) -> tuple[float, Vector]:
+        samples = evaluate(at)
+        return float(samples.log_likelihood.sum()), np.asarray(samples.score.sum(0))
+
+    after = evaluate(first_fit := fit(trials, at_start, held_out_start))
+    refit = History(target, f"{description}, fitted to the whole log", entries, basis, REFIT)
+    progress.begin("points", budget)
+    best = fit(refit, first_fit, a.last_tick + 1)
+    is_held_out, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
+    gain, se = _held_out_gain(before, after, is_held_out)
+    reason = (
+        "" if gain >= -MAX_WORSE * se else f"held-out log-likelihood falls by {-gain:.3g} (standard error {se:.2g})"
+    )
+    low, high = innovation_tests.intervals(total, best) if is_converged else (np.full(len(best), np.nan),) * 2
+    intensities = _intensities(free, at_start, best, low, high)
+    held_out = {
+        what: _results_of(samples.stats[is_held_out]) for what, samples in (("start", before), ("tuned", after))
+    }
+    best_options = parameters.to_options(free, best)
+    tuned = LogTuning(
+        study=tune.with_options(study, label, {} if reason else best_options),
+        start=parameters.to_options(free, at_start),
+        best=best_options,
+        kept_start=reason,
+        intensities=intensities,
+        held_out=held_out,
+        gain=gain,
+        gain_se=se,
+        points=[*trials.points, *refit.points],
+        notes=[
+            *a.remarks,
+            *_factors(a, p, best_options),
+            *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
+        ],
+        log_likelihood=total(at_start if reason else best)[0] / n_numbers,
+        delays=[],
+    )
+    _write(tuned, target, description)
+    return tuned
+
+
+def _digest_of(part: Part) -> str:
+    """Return a digest of samples and inputs."""
+    samples_hash = sha256()
+    for array in (*part.window, part.inputs):
+        samples_hash.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    return samples_hash.hexdigest()[:12]
+
+
+def _held_out_gain(before: SampleLikelihood, after: SampleLikelihood, is_held_out: np.ndarray) -> tuple[float, float]:
+    """Return the gain in log-likelihood per held-out number, and its standard error."""
+    diff = after.log_likelihood[is_held_out] - before.log_likelihood[is_held_out]
+    n_numbers = float(before.stats[is_held_out, 1].sum())
+    return float(diff.sum() / n_numbers), float(np.std(diff, ddof=1) * np.sqrt(len(diff)) / n_numbers)
 
 
 def _find_delays(
     a: Playback, only: list[str] | None, longest: float | None, where: str, progress: Progress
 ) -> tuple[list[ChannelDelay], list[str]]:
     """Return the delay of each channel, estimated with its most likely noise."""
-    ((label, options),) = a.cell.options.items()
-    entry = a.cell.entry(label)
-    if not entry.knows_schedule:
+    (label,) = a.cell.options
+    if not a.cell.entry(label).knows_schedule:
         raise UserError(
             f"{where}: --find-delay: got an observer that does not use the time at which a sample was taken, expected one that "
             "does; use kf, ekf or ukf."
         )
 
     def gains_of(p: PlaybackSetup) -> tuple[likelihood.AffineGains, Vector]:
-        start_design = planning.run_design(label, entry, p.context, options)
-        names = _tuned_options(entry, options, start_design, only, where)
-        free, z = tune.free_parameters(label, entry, p.context, options, start_design, names, where)
-
-        def design(point: Vector) -> PyTree:
-            return planning.run_design(label, entry, p.context, parameters.with_values(options, free, point)).gains
-
-        if (gains := likelihood.affine_gains(design, z)) is None:
+        free, z = _free_intensities(label, a.cell, p.context, only, where)
+        if (gains := likelihood.affine_gains(tune.gains_at(label, a.cell, p.context, free), z)) is None:
             raise UserError(
                 f"{where}: --find-delay: got an observer whose gains are not affine in the free parameters, expected the noise "
                 "intensities R, q and Q of a Kalman filter; choose them with --only, or use kf."
@@ -256,8 +265,16 @@ def _require(entry: ObserverSpec, budget: int, where: str) -> None:
         )
 
 
-def _require_slope(evaluate: likelihood.Evaluator, at: Vector, samples: SampleLikelihood, where: str) -> None:
-    """Raise UserError if the likelihood's derivative differs from its differences, as for random or iterated steps."""
+def _require_start(
+    evaluate: likelihood.Evaluator, at: Vector, samples: SampleLikelihood, entry: ObserverSpec, where: str
+) -> None:
+    """Raise UserError for a likelihood that is not finite, or has no derivative, as with random or iterated steps."""
+    if not np.isfinite(samples.log_likelihood).all():
+        raise tune.NoStart(
+            f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
+        )
+    if entry.smooth:
+        return
     ahead, back = (evaluate(at + sign * DIFF_STEP).log_likelihood.sum() for sign in (1, -1))
     by_differences, slope = (ahead - back) / (2 * DIFF_STEP), samples.score.sum()
     if not abs(by_differences - slope) <= SLOPE_TOL * (abs(slope) + np.sqrt(len(samples.log_likelihood))):
@@ -267,12 +284,17 @@ def _require_slope(evaluate: likelihood.Evaluator, at: Vector, samples: SampleLi
         )
 
 
-def _tuned_options(
-    entry: ObserverSpec, options: BaseModel, design: Design, only: list[str] | None, where: str
-) -> list[str]:
-    """Return the options to tune: `only`, or all noise intensities that are not 0."""
-    if only is not None:
-        return only
+def _free_intensities(
+    label: str, cell: Cell, context: DesignContext, only: list[str] | None, where: str
+) -> tuple[list[parameters.Free], Vector]:
+    """Return the free noise intensities (`only` some options, or all that are not 0), and their start."""
+    design = planning.run_design(label, cell.entry(label), context, cell.options[label])
+    names = _positive_intensities(cell.entry(label), cell.options[label], design, where) if only is None else only
+    return tune.free_parameters(label, cell, context, design, names, where)
+
+
+def _positive_intensities(entry: ObserverSpec, options: BaseModel, design: Design, where: str) -> list[str]:
+    """Return the names of all noise intensities that are not 0."""
     names = []
     for name in NOISE:
         if name in parameters.tunable(entry):

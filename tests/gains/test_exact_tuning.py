@@ -49,18 +49,13 @@ def asked(study, observer, objective, signal=None, only=None):
     """What evaluates an exact objective, and where it starts."""
     study, cell = parse.one_cell(study, [observer], [])
     observer = label_of(observer)
-    known, options, entry = planning.context_of(cell), cell.options[observer], cell.entry(observer)
-    designed = planning.run_design(observer, entry, known, options)
-    every, start = tune.free_parameters(observer, entry, known, options, designed, only, "test")
-
-    def design(at):
-        return planning.run_design(observer, entry, known, tune.parameters.with_values(options, every, at)).gains
-
+    context = planning.context_of(cell)
+    design = planning.run_design(observer, cell.entry(observer), context, cell.options[observer])
+    free, start = tune.free_parameters(observer, cell, context, design, only, "test")
     (p,) = padding.fit(list(planning.drafts([cell])))
     aim = objective_of(objective, cell.scenario, signal, "test")
-    return objective_eval.exact_evaluator(
-        p, objective_eval.exact_cell(aim, p, "test"), aim, len(start), design, "test"
-    ), start
+    gains = tune.gains_at(observer, cell, context, free)
+    return objective_eval.exact_evaluator(p, aim, len(start), gains, "test"), start
 
 
 def by_impulses(gain):

@@ -7,7 +7,7 @@ from logged import MOTOR
 import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
-from pcbench.gains import parameters, tune
+from pcbench.gains import tune
 from pcbench.observers import OBSERVERS
 from pcbench.playback import likelihood, setup, tuning
 from pcbench.runtime import config
@@ -53,15 +53,10 @@ def test_score_is_the_derivative_of_the_likelihood(recording, name):
             OUT_OF_SEQUENCE | {"options": {name: {"max_age": 1.0}}} if name == "kf-drop-delayed" else OUT_OF_SEQUENCE
         )
         a = setup.open_playback(recording, plant, [name])
-        entry, options = a.cell.entry(name), a.cell.options[name]
         p, part = likelihood.load_recording(a)
-        designed = planning.run_design(name, entry, p.context, options)
-        free, start = tune.free_parameters(name, entry, p.context, options, designed, ["R", "Q"], "here")
-
-        def design(point):
-            return planning.run_design(name, entry, p.context, parameters.with_values(options, free, point)).gains
-
-        look, h = likelihood.evaluator(p, part, design), 1e-4
+        design = planning.run_design(name, a.cell.entry(name), p.context, a.cell.options[name])
+        free, start = tune.free_parameters(name, a.cell, p.context, design, ["R", "Q"], "here")
+        look, h = likelihood.evaluator(p, part, tune.gains_at(name, a.cell, p.context, free)), 1e-4
         at = start + np.linspace(0.1, 0.3, len(start))
         found = look(at)
         assert len(found.tick) > 30
