@@ -8,6 +8,7 @@ from functools import partial
 from math import inf, isfinite
 
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
@@ -181,27 +182,12 @@ def draft(
         for o, values in options.items()
     }
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
-    numbers: TomlTable = {"drift": truth.parameter_drift} if "drift" in plant.numbers._fields else {}
-    numbers |= cell.parameters
-    if "sensor_delay" in plant.numbers._fields:  # delay of the samples [s], or its mean if it varies
-        clock = cell.times.clocks[0]
-        numbers["sensor_delay"] = (
-            float((clock.period if clock.delay is None else clock.delay) + clock.mean_extra_delay) * s.dt
-        )
-    numbers |= {"unknown_input": truth.unknown_input} if truth.unknown_input else {}
-    has_box = choices.random_initial_state and bool(belief.initial_box)
+    has_box, step = choices.random_initial_state and bool(belief.initial_box), sampling.quantization_step
     from_prior = choices.random_initial_state and not has_box
-    probability, scale, step = sampling.outlier_probability, sampling.outlier_scale, sampling.quantization_step
-    outliers: Outliers | tuple[()] = ()
-    if probability:
-        n_channels = len(sampling.delay) if isinstance(probability, tuple) or isinstance(scale, tuple) else 0
-        outliers = Outliers(
-            *(np.asarray(per_channel(a, n_channels) if n_channels else a) for a in (probability, scale))
-        )
     key = tuple(cell.times.clocks), n, cell.times.error, sampling.continuous, len(sampling.delay)
     schedule, room = cache("schedule", key, lambda: schedule_of(cell))
     problem = GridPointParams(
-        params=prepare_params(plant, plants.replace_numbers(plants.numbers_of(s), numbers), s.dt, n, cache),
+        params=prepare_params(plant, _plant_numbers(cell), s.dt, n, cache),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
         inputs=_inputs(cell, context, cache),
@@ -218,7 +204,7 @@ def draft(
         scatter=np.array(belief.initial_box) * has_box,
         network=loop_setup.network(cell),
         weights=loop_setup.weights(cell),
-        outliers=outliers,
+        outliers=_outliers(sampling),
         rounding=Rounding(np.array(step), np.asarray(sampling.dither)) if any(step) else (),
         trigger=_trigger(sampling),
         student_t_dof=np.asarray(dof) if np.isfinite(dof := sampling.student_t_dof) else (),
@@ -250,6 +236,30 @@ def draft(
         labels=tuple(options),
         reach=loop_setup.reach(cell, context.oosm_lag, n) if s.loop.controller else None,
     )
+
+
+def _plant_numbers(cell: Cell) -> PyTree:
+    """Return the plant's true numbers: its own with the changes of the scenario and the grid point."""
+    s, truth = cell.scenario, cell.scenario.truth
+    names = plants.entry_of(s).numbers._fields
+    numbers: TomlTable = {"drift": truth.parameter_drift} if "drift" in names else {}
+    numbers |= cell.parameters
+    if "sensor_delay" in names:  # delay of the samples [s], or its mean if it varies
+        clock = cell.times.clocks[0]
+        numbers["sensor_delay"] = (
+            float((clock.period if clock.delay is None else clock.delay) + clock.mean_extra_delay) * s.dt
+        )
+    numbers |= {"unknown_input": truth.unknown_input} if truth.unknown_input else {}
+    return plants.replace_numbers(plants.numbers_of(s), numbers)
+
+
+def _outliers(sampling: Sampling) -> Outliers | tuple[()]:
+    """Return probability and scale of outliers, one of each or one per channel; (): none."""
+    numbers = sampling.outlier_probability, sampling.outlier_scale
+    if not sampling.outlier_probability:
+        return ()
+    n_channels = len(sampling.delay) if any(isinstance(a, tuple) for a in numbers) else 0
+    return Outliers(*(np.asarray(per_channel(a, n_channels) if n_channels else a) for a in numbers))
 
 
 def _trigger(sampling: Sampling) -> Trigger | tuple[()]:
