@@ -323,12 +323,12 @@ def _of_processor(s: Scenario) -> Iterator[str]:
 
 def works_on(label: str, entry: ObserverSpec, s: Scenario, where: str) -> None:
     """Raise UserError if an observer does not support a scenario."""
-    if sentence := next(_refusals(label, entry, s), ""):
+    if sentence := next(itertools.chain(_model_refusals(label, entry, s), _schedule_refusals(label, entry, s)), ""):
         raise UserError(f"{where}: {label} in {s.name} got {sentence}")
 
 
-def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
-    """Yield what an observer does not support, what it needs instead, and which observer supports it."""
+def _model_refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
+    """Yield why an observer does not support the plant or the loop, what it needs, and which observer supports it."""
     if nonlinear(s) and not entry.nonlinear:
         residual = plant_of(s).residual
         change = np.ones(0) if residual is None else residual(numbers_of(s))
@@ -354,6 +354,10 @@ def _refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
             f"continuous measurements, expected samples: it has no continuous-time form; leave {label} out, use one "
             f"of {alternatives}, or use a scenario with samples."
         )
+
+
+def _schedule_refusals(label: str, entry: ObserverSpec, s: Scenario) -> Iterator[str]:
+    """Yield why an observer does not support the schedule, what it needs, and which observer supports it."""
     sampling = s.sampling
     is_periodic = sampling.sampling_pattern == "periodic"
     is_interval = INTERVAL in sampling.delay and not (is_periodic and not sampling.sampling_jitter)

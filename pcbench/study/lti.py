@@ -123,16 +123,7 @@ class Lti(Experiment, LtiTable):
         unknowns = tuple(
             ("input" if r == 1 else f"input{i + 1}", unit or "1") for i, unit in enumerate(units(unknown_input, r))
         )
-        states = tuple((f"x{i + 1}", "1") for i in range(n))
-        if self.states is not None:
-            if len(self.states) != n:
-                raise UserError(f"{where}.states: got {len(self.states)} names, expected {n}, one for each state.")
-            states = names_and_units(self.states, f"{where}.states")
-        for signal, _ in unknowns:
-            if signal in dict(states):
-                raise UserError(
-                    f"{where}.states: got a state called '{signal}', expected another name (the unknown input has it)."
-                )
+        states = _states(self.states, n, unknowns, where)
         require_slow(numbers.A, self.dt is not None, ticks, tick, where)
         model = {letter: getattr(numbers, letter) for letter in MATRICES} | {"discrete": numbers.discrete}
         model |= (
@@ -166,3 +157,19 @@ class Lti(Experiment, LtiTable):
             duration=ticks * tick,
         )
         return experiment_on(base, table, where)
+
+
+def _states(
+    names: list[str] | None, n: int, unknowns: tuple[tuple[str, str], ...], where: str
+) -> tuple[tuple[str, str], ...]:
+    """Return names and units of the states, by default x1 to xn; raise UserError for a name of an unknown input."""
+    if names is not None and len(names) != n:
+        raise UserError(f"{where}.states: got {len(names)} names, expected {n}, one for each state.")
+    default = tuple((f"x{i + 1}", "1") for i in range(n))
+    states = default if names is None else names_and_units(names, f"{where}.states")
+    for signal, _ in unknowns:
+        if signal in dict(states):
+            raise UserError(
+                f"{where}.states: got a state called '{signal}', expected another name (the unknown input has it)."
+            )
+    return states
