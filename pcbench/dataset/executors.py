@@ -22,7 +22,7 @@ from pcbench.runtime import config, ending
 from pcbench.runtime.memory import memory_budget
 
 if TYPE_CHECKING:
-    from distributed import LocalCluster
+    from distributed import Client, LocalCluster
 
 QUEUED = 3  # tasks per Dask worker: one computing, one writing, one waiting
 TASK_MEMORY = 2.0**30  # bytes of results per task, on workers of unknown memory
@@ -125,23 +125,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         raise UserError("--dask: Dask is not installed, expected it: pip install 'pcbench[dask]'.") from None
     from asyncio import CancelledError as AsyncCancelled
 
-    from dask import config as dask_config
-
-    dask_config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES})
-    try:
-        cluster = _local(workers) if address == "local" else None
-        client = distributed.Client(cluster or address, timeout=CONNECT_TIMEOUT, set_as_default=False)
-    except RuntimeError:  # its processes import the script that started them, and come here again
-        raise UserError(
-            '--dask: the workers did not start, expected a script that runs below `if __name__ == "__main__":`, as spawned '
-            "processes need it; put it there."
-        ) from None
-    except (OSError, ValueError, TypeError) as error:
-        raise UserError(
-            f"--dask: got {redact_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or "
-            "the address of a running scheduler such as tcp://10.0.0.1:8786."
-        ) from None
-
+    cluster, client = _connect(address, workers)
     no_workers = getattr(distributed.scheduler, "NoWorkerError", ())  # in releases with that timeout
 
     def execute(work: Callable[[T, Hold], R], tasks: Iterable[T]) -> Iterator[R]:
@@ -184,6 +168,28 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
             if cluster is not None:
                 with suppress(Exception):
                     cluster.close(timeout=10)
+
+
+def _connect(address: str, workers: int | None) -> tuple["LocalCluster | None", "Client"]:
+    """Return the client of a cluster, and the cluster if it is of this machine; raise UserError if there is none."""
+    import distributed
+    from dask import config as dask_config
+
+    dask_config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES})
+    try:
+        cluster = _local(workers) if address == "local" else None
+        client = distributed.Client(cluster or address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except RuntimeError:  # its processes import the script that started them, and come here again
+        raise UserError(
+            '--dask: the workers did not start, expected a script that runs below `if __name__ == "__main__":`, as spawned '
+            "processes need it; put it there."
+        ) from None
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(
+            f"--dask: got {redact_address(address)!r}, which does not respond ({type(error).__name__}); expected 'local' or "
+            "the address of a running scheduler such as tcp://10.0.0.1:8786."
+        ) from None
+    return cluster, client
 
 
 def _local(workers: int | None) -> "LocalCluster":
