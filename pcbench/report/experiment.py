@@ -76,6 +76,26 @@ class Row(NamedTuple):
     always: bool = False
 
 
+def _times(values: str | Sequence[float | str]) -> str:
+    return values if isinstance(values, str) else _each(values, ["s"] * len(values))
+
+
+def _turns(values: Sequence[float | str]) -> str:
+    first = [v if isinstance(v, str) else f"{number(v)} s" for v in values[:MANY]]
+    return ", ".join(first) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
+
+
+def _percent(values: ArrayLike) -> str:
+    return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
+
+
+def _by_text(text: str, infinite: str = "") -> Callable[[Any], str]:
+    def format_one(v: float) -> str:
+        return infinite if v == np.inf else text.format(number(v))
+
+    return lambda values: ", ".join(dict.fromkeys(map(format_one, np.atleast_1d(values))))
+
+
 def _field_rows(s: Scenario) -> list[Row]:
     """Return the fields of a scenario that the page may show, in order."""
     signals, outputs = signals_of(s), frames.output_units(s)
@@ -87,27 +107,11 @@ def _field_rows(s: Scenario) -> list[Row]:
         pairs = zip(np.ravel(values), signals, strict=False)
         return ", ".join(f"{name.replace('_', ' ')} {quantity(number(float(v)), unit)}" for v, (name, unit) in pairs)
 
-    def times(values: str | Sequence[float | str]) -> str:
-        return values if isinstance(values, str) else _each(values, ["s"] * len(values))
-
-    def turns(values: Sequence[float | str]) -> str:
-        first = [v if isinstance(v, str) else f"{number(v)} s" for v in values[:MANY]]
-        return ", ".join(first) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
-
-    def percent(values: ArrayLike) -> str:
-        return ", ".join(f"{number(100 * v)} %" for v in np.atleast_1d(values))
-
-    def by_text(text: str, infinite: str = "") -> Callable[[Any], str]:
-        def format_one(v: float) -> str:
-            return infinite if v == np.inf else text.format(number(v))
-
-        return lambda values: ", ".join(dict.fromkeys(map(format_one, np.atleast_1d(values))))
-
     forms = {
         "states": states,
-        "times": times,
-        "turns": turns,
-        "percent": percent,
+        "times": _times,
+        "turns": _turns,
+        "percent": _percent,
         "outputs": lambda values: _each(values, outputs) if any(values) else "none",
     }
     first = [
@@ -130,14 +134,14 @@ def _field_rows(s: Scenario) -> list[Row]:
 
     field_rows = []
     for f in FIELDS:
-        to_text = forms.get(f.form) or by_text(f.form, f.infinite)
+        to_text = forms.get(f.form) or _by_text(f.form, f.infinite)
         field_rows.append(Row(f.name, f.title, each_row(to_text) if f.rows else to_text))
     last = [
         Row("delay_sine", "variation of the delays", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
         Row("continuous", "measurements", lambda v: "continuous, without noise"),
         Row("initial_box", "random xhat(0) within", states),
         Row("duration", "duration", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s", always=True),
-        Row("steady_start", "steady_start (steady_ metrics)", by_text("{} s"), always=True),
+        Row("steady_start", "steady_start (steady_ metrics)", _by_text("{} s"), always=True),
         Row("settle_band", "settled within", states, always=True),
         Row(
             "divergence_threshold",
