@@ -22,7 +22,7 @@ extern long {label}_products;
 #else
 static long {label}_products = 0;
 #endif
-static {label}_real snapshots[RING][NOTED];
+static {label}_real snapshots[RING][SNAPSHOT_SIZE];
 
 int main(int argc, char **argv)
 {{
@@ -102,7 +102,7 @@ SAMPLED = """            if (v->what == 1) {{
                 {label}_sampled(&{label}_nominal, &memory, &now, v->mask);
             }}
 """
-CARRY = """                for (int j = 0; j < NOTED; j++) {{
+CARRY = """                for (int j = 0; j < SNAPSHOT_SIZE; j++) {{
                     a.snapshot[j] = snapshots[v->packet % RING][j];
                 }}
 """
@@ -134,7 +134,7 @@ def header(about: About, v: RecordedRun, snapshot_size: int, ring: int) -> str:
     q, m, s = about.outputs, about.inputs, v.expected.shape[1]
     sizes = {
         "TICKS": len(v.expected), "EVENTS": len(v.events), "SIGNALS": s, "INPUTS": m, "OUTPUTS": q, "BEFORE": len(v.before),
-        "NOTED": max(snapshot_size, 1), "RING": max(ring, 1),
+        "SNAPSHOT_SIZE": max(snapshot_size, 1), "RING": max(ring, 1),
     }  # fmt: skip
     lines = [
         f"/* A run of {c_files.comment(about.scenario)} with {c_files.comment(about.observer)}. */",
