@@ -65,7 +65,7 @@ class Trial(NamedTuple):
         return law_of(self.entry, self.options)
 
     @property
-    def every(self) -> int:
+    def period_ticks(self) -> int:
         """Return the ticks between two decisions, by the option `period`."""
         return self.context.every(getattr(self.options, "period", None))
 
@@ -141,21 +141,21 @@ def lanes(t: Trial) -> str:
 
 def check_hold(t: Trial) -> str:
     """Check that the command is constant between decisions, for any estimate."""
-    if t.every == 1:
+    if t.period_ticks == 1:
         raise SkipCheck("its options have no period: it decides at every tick")
     g, command = make_arguments(t), jax.jit(functions(t)["command"])
     memory, commands = g.memory, []
-    for tick in range(2 * t.every):
+    for tick in range(2 * t.period_ticks):
         arguments = g._replace(tick=jnp.asarray(tick), estimate=g.estimate * (1 + tick), memory=memory)
         u, memory = command(arguments) if t.law.start else (command(arguments), ())
         commands.append(np.asarray(u))
-    first = next((k for k, u in enumerate(commands) if not np.array_equal(u, commands[k - k % t.every])), None)
+    first = next((k for k, u in enumerate(commands) if not np.array_equal(u, commands[k - k % t.period_ticks])), None)
     require(
         first is None,
-        f"held: got a different command at tick {first}, between decisions every {t.every} ticks (period), expected the same; "
-        "store it from start on, and decide only if now.tick % every == 0.",
+        f"held: got a different command at tick {first}, between decisions every {t.period_ticks} ticks (period), expected the "
+        "same; store it from start on, and decide only if now.tick % every == 0.",
     )
-    return f"commands change every {t.every} ticks only"
+    return f"commands change every {t.period_ticks} ticks only"
 
 
 def settles(t: Trial) -> str:

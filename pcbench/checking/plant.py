@@ -357,9 +357,9 @@ def perfect_start(t: Trial) -> str:
     is_nonlinear = t.entry.model is not None or t.entry.successor is not None
     at_rest = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
     name, size = ("ekf", 1.0) if is_nonlinear and not at_rest else ("model-only", NEAR if is_nonlinear else 1.0)
-    q, every = len(t.model.C), EVERY * t.scenario.dt
+    q, period = len(t.model.C), EVERY * t.scenario.dt
     base = t.scenario._replace(
-        loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), duration=4 * every
+        loop=Loop(input="zero"), sampling=Sampling((period,) * q, (period,) * q, (1e-3,) * q), duration=4 * period
     )
     s = base.with_fields(x0=tuple(map(float, size * t.spread)), steady_start=t.scenario.dt)
     cell = cell_of(s)._replace(options={name: observer_of(name).options()})

@@ -207,7 +207,7 @@ def reproduce(
     setup()
     from pcbench.cli.render import folder
     from pcbench.dataset import storage
-    from pcbench.papers import every
+    from pcbench.papers import all_papers
     from pcbench.papers.claim import counts
     from pcbench.papers.page import page as text_of
 
@@ -222,7 +222,7 @@ def reproduce(
     if page is not None:
         storage.create_folder(storage.target(page.parent))  # an unwritable folder is reported before the work
     with show_progress(quiet or as_json) as progress:
-        by_paper = every.claims(progress)
+        by_paper = all_papers.claims(progress)
     if page is not None:
         storage.write_file(storage.target(page.parent), page.name, text_of(by_paper).encode())
     if as_json:

@@ -319,7 +319,7 @@ def verify(
         int | None,
         option("Number of blocks to compute again, and of grid points with exact numbers [default: 4]", min=0),
     ] = None,
-    every: Annotated[bool, option("Compute every block again", "--all")] = False,
+    all_blocks: Annotated[bool, option("Compute every block again", "--all")] = False,
     seed: Annotated[int | None, option("Seed of the selection of blocks [default: 0]", min=0)] = None,
     exact: Annotated[bool, option("Compare simulated means with their exact values instead", "--exact")] = False,
     figure: Annotated[str | None, option("File for a quantile plot (with --exact): .svg, .pdf or .png")] = None,
@@ -336,8 +336,8 @@ def verify(
     """
     sample_options = {"--sample": sample, "--seed": seed}
     if exact:
-        require_effect(sample_options | {"--all": every}, "with --exact", "leave one of them out")
-    if every:
+        require_effect(sample_options | {"--all": all_blocks}, "with --exact", "leave one of them out")
+    if all_blocks:
         require_effect(sample_options, "with --all", "leave one of them out")
     if not exact:
         require_effect({"--figure": figure}, "without --exact", "add --exact, or leave it out")
@@ -348,7 +348,9 @@ def verify(
     from pcbench.dataset import verify
 
     with show_progress(quiet or as_json) as progress:
-        result = verify.verify(folder, None if every else SAMPLE if sample is None else sample, seed or 0, progress)
+        result = verify.verify(
+            folder, None if all_blocks else SAMPLE if sample is None else sample, seed or 0, progress
+        )
     if as_json:
         print(json.dumps(result._asdict(), indent=2))
     elif not quiet:

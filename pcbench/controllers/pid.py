@@ -50,7 +50,7 @@ class Params(NamedTuple):
     filter: Leaf  # f
     x_ref: Leaf  # [T, n]
     offset: Leaf  # [m]
-    every: Leaf  # [ticks]
+    period_ticks: Leaf  # [ticks]
     limit: Leaf  # [m]
 
 
@@ -92,7 +92,7 @@ def prepare(options: Options, context: ControllerContext) -> Params:
             options.set_point, context.states, context.tick, context.dt, context.ticks + 1 + context.lookahead
         ).x,
         offset=np.broadcast_to(np.asarray(options.offset, float), m).copy(),
-        every=np.asarray(period),
+        period_ticks=np.asarray(period),
         limit=np.broadcast_to(limit, m).copy(),
     )
 
@@ -138,7 +138,7 @@ def command(
     u = jnp.clip(u_law, -params.limit, params.limit)
     new, decides = (
         PidState(u, jnp.where(u == u_law, integral, memory.integral), y, slope),
-        now.tick % params.every == 0,
+        now.tick % params.period_ticks == 0,
     )
     after = PidState(*(jnp.where(decides, a, b) for a, b in zip(new, memory, strict=True)))
     return after.u, after

@@ -40,7 +40,7 @@ class Params(NamedTuple):
     K: Leaf  # [m, n]
     x_ref: Leaf  # [T, n]
     u_ref: Leaf  # [T, m], with the offset
-    every: Leaf  # [ticks] between decisions
+    period_ticks: Leaf  # [ticks] between decisions
     limit: Leaf  # [m]
     late: Leaf  # [ticks] predicted
     Phi: Leaf  # [n, n] of a tick
@@ -68,7 +68,7 @@ def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
         K=K,
         x_ref=aims.x,
         u_ref=aims.u + np.asarray(options.offset, float),
-        every=np.asarray(context.every(options.period)),
+        period_ticks=np.asarray(context.every(options.period)),
         limit=np.broadcast_to(limit, m).copy(),
         late=np.asarray(context.late if options.knows_delay else 0),
         Phi=Phi,
@@ -126,7 +126,7 @@ def feedback_command(
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
     """Return the command for x and the set point of tick `row`, or the last one between decisions; twice."""
     u = params.u_ref[row] - params.K @ (x - params.x_ref[row])
-    u = jnp.where(now.tick % params.every == 0, jnp.clip(u, -params.limit, params.limit), last)
+    u = jnp.where(now.tick % params.period_ticks == 0, jnp.clip(u, -params.limit, params.limit), last)
     return u, u
 
 

@@ -65,7 +65,7 @@ class Exact:
         """Yield the moments of a grid point by column, for each observer and signal with exact results."""
         cell = m.plan.cell
         names = [name for name, _ in signals_of(cell.scenario)]
-        ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).every(cell.times.ticks))
+        ticks = np.arange(0, cell.times.ticks + 1, MomentRequest(0, 0, points=points).interval(cell.times.ticks))
         for label, errors in m.signals.items():
             if m.why[label] or not m.rows:
                 continue

@@ -244,7 +244,7 @@ def run_blocks(
     work = partial(task.compute, task.Work(target.uri, claim.study.name, claim.study.root_seed, sizes.memory))
     new = [Block(s, o, n, seeds) for (s, n), labels in todo.items() for o, ranges in labels.items() for seeds in ranges]
     n_compiled = 0
-    for report in execute(work, stopwatch.each("planning", plan.tasks(programs))):
+    for report in execute(work, stopwatch.measure_each("planning", plan.tasks(programs))):
         _require_versions(report)
         cost = add_costs(cost, report.cost)
         n_compiled += report.call is not None

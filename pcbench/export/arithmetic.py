@@ -103,11 +103,11 @@ def elementwise(w: Writer, eqn: Eqn, args: list[Entries]) -> Entries:
         return args[0]
     kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
     products = int(name in PER_ENTRY and kind == "real")
-    each = [np.broadcast_to(a, aval.shape) for a in args]
-    if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MAX_BRANCHES:
-        return _select_in_loop(w, kind, *each)
+    full = [np.broadcast_to(a, aval.shape) for a in args]
+    if name == "select_n" and len(full) == 3 and sum(isinstance(x, Term) for x in full[0].flat) > MAX_BRANCHES:
+        return _select_in_loop(w, kind, *full)
     for i in np.ndindex(aval.shape):
-        operands = [a[i] for a in each]
+        operands = [a[i] for a in full]
         if name == "select_n" and not isinstance(operands[0], Term):
             out[i] = operands[1 + int(operands[0])]
         elif not any(isinstance(x, Term) for x in operands):

@@ -203,7 +203,7 @@ def write(export: ExportedObserver, out: str | Path) -> list[Path]:
 
 def compiler() -> str | None:
     """Return the C compiler of this machine, or None."""
-    return next((path for each in COMPILERS if (path := shutil.which(each))), None)
+    return next((path for compiler in COMPILERS if (path := shutil.which(compiler))), None)
 
 
 def run_compiled(

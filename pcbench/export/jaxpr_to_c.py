@@ -172,7 +172,7 @@ def _scan(w: Writer, eqn: Eqn, args: list[Entries]) -> list[Entries]:
             if b.size
         ]
         carry_updates = zip(zip(_kinds(state_vars), state, out[:carry], strict=True), is_constant, strict=True)
-        assign(w, [*y_updates, *(each for each, s in carry_updates if not s)])
+        assign(w, [*y_updates, *(update for update, constant in carry_updates if not constant)])
     return [*state, *ys]
 
 

@@ -58,6 +58,6 @@ def _to_matlab(x: object) -> object:
     if isinstance(x, dict):
         return {str(k)[:63]: _to_matlab(v) for k, v in x.items() if v is not None}
     if isinstance(x, list | tuple):
-        each = [_to_matlab(v) for v in x if v is not None]
-        return np.array(each, object) if any(isinstance(v, str | dict) for v in each) else np.array(each, float)
+        values = [_to_matlab(v) for v in x if v is not None]
+        return np.array(values, object) if any(isinstance(v, str | dict) for v in values) else np.array(values, float)
     return x

@@ -85,7 +85,7 @@ def source(label: str, o: Observer, gains: PyTree, xhat0: Array, shapes: Shapes)
     out = []
     for name, (f, args, changes) in _observer_functions(o, shapes.snapshot_size).items():
         values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "mask": flags}
-        program = jax.make_jaxpr(f)(*(values[each] for each in args))
+        program = jax.make_jaxpr(f)(*(values[arg] for arg in args))
         entries: list[Entries] = []
         for arg in args:
             is_struct = arg in fields
@@ -216,7 +216,7 @@ def _head(label: str, args: tuple[str, ...], changes: str) -> str:
         "mask": "const bool *mask",
     }
     output = [texts["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
-    return ", ".join([*(texts[each] for each in args), *output])
+    return ", ".join([*(texts[arg] for arg in args), *output])
 
 
 def numbers(tree: PyTree) -> list[np.ndarray]:

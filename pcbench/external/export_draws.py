@@ -126,7 +126,7 @@ def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = S
         schema = pa.schema(
             [pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()]
         )
-        columns_by_name = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
+        columns_by_name = {name: np.concatenate([np.asarray(part[name]) for part in samples]) for name in SAMPLES}
         columns = [pa.array(columns_by_name[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
         tables = {
             "samples": pa.Table.from_arrays(columns, schema=schema),

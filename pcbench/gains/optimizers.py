@@ -135,7 +135,7 @@ def value_and_gradient(
 def chain(slopes: list[Vector], design: Callable[[Vector], Gains], at: Vector) -> Vector:
     """Return the derivatives with respect to the free parameters, from those with respect to the gains."""
     by_parameter = directions(design, at)
-    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, each, strict=True)) for each in by_parameter])
+    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, row, strict=True)) for row in by_parameter])
 
 
 def directions(design: Callable[[Vector], Gains], at: Vector) -> list[list[Vector]]:

@@ -57,7 +57,7 @@ class Shape(NamedTuple):
     form: Form
     per_cell: tuple[bool, ...]  # which arrays of the problem are separate for each grid point
     record: str = ""  # nothing, "std" or "covariance" over time
-    every: int = 1  # recording interval in ticks
+    interval: int = 1  # recording interval in ticks
     entrywise: bool = False  # whether functions of a state are written entry by entry
 
 

@@ -21,7 +21,7 @@ RESULT_TYPES = (Outcome, Sums, MomentRecord, FinalCovariances)  # types of a pro
 FEW, SOME, MANY = 8, 64, 128  # grid points per call; with the cart, one costs four fifths with 128 of its cost with 64
 
 
-def compute(realisations: list[Realisation], record: str, every: int = 1, width: int | None = None) -> Outcome:
+def compute(realisations: list[Realisation], record: str, interval: int = 1, width: int | None = None) -> Outcome:
     """Return the results of a batch, [..., FEW, SOME or MANY], recorded every `every` ticks.
 
     `width` is the number of grid points of the call; None: the smallest that is large enough.
@@ -37,7 +37,7 @@ def compute(realisations: list[Realisation], record: str, every: int = 1, width:
         inputs = inputs._replace(mix=mix_of(modes))
     layout, form = padded[0].layout, form_of(padded[0].layout, padded[0].problem)
     entrywise = width > FEW and not form.flight and form.size <= MOST_ENTRYWISE
-    shape = Shape(width, form, per_cell, record, every, entrywise)
+    shape = Shape(width, form, per_cell, record, interval, entrywise)
     leaves, tree = jax.tree.flatten(inputs)
     key = layout, shape, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 

@@ -149,7 +149,7 @@ def initial_propagation(batch: Batch) -> PropagationState:
     rows: MomentRecord | tuple[()] = ()
     final: FinalCovariances | tuple[()] = ()
     if shape.record:
-        T = -(-len(batch_inputs.arrivals) // shape.every) + 1  # one place more for ticks that are not recorded
+        T = -(-len(batch_inputs.arrivals) // shape.interval) + 1  # one place more for ticks that are not recorded
         rows = MomentRecord(jnp.zeros((T, Z, cells)), jnp.zeros((T, Z, Z if shape.record == COVARIANCE else 1, cells)))
     if layout.consistency:
         covariances = batch.map_cells(partial(_assumed_covariances, layout))
@@ -164,7 +164,7 @@ def tick(batch: Batch, k: Array, c: PropagationState) -> PropagationState:
     """Propagate one tick of all grid points: estimate, control and flow, with the sums."""
     inputs, shape, layout, state, w = batch.inputs, batch.shape, batch.layout, c.state, batch.inputs.ticks[k]
     p = inputs.problem
-    network = tuple(stream[k // p.network.every] for stream in inputs.network) if layout.pending else ()
+    network = tuple(stream[k // p.network.period_ticks] for stream in inputs.network) if layout.pending else ()
     noise = jnp.broadcast_to(w[:, :, None], (*w.shape, shape.cells))
     run_noise = jnp.concatenate([jnp.zeros_like(noise[:1]), noise])
     runs, signals, M, probe = _flow(batch, k, state.runs, run_noise, network, c)
@@ -183,7 +183,7 @@ def tick(batch: Batch, k: Array, c: PropagationState) -> PropagationState:
     values = TickValues(signals, covariance, shifts[: len(w), A:])
     rows, final = c.rows, c.final
     if rows:
-        row = jnp.where(k % shape.every == 0, k // shape.every, len(rows.mean) - 1)
+        row = jnp.where(k % shape.interval == 0, k // shape.interval, len(rows.mean) - 1)
         new = MomentRecord(signals.errors[0], covariance[:Z, : rows.covariance.shape[2]])
         rows = jax.tree.map(lambda table, a: table.at[row].set(a), rows, new)
     if layout.consistency:

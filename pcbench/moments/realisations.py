@@ -59,7 +59,7 @@ def draw_realisation(p: Plan, root_seed: int, seed: int) -> Realisation:
         params = plant.of_run(problem.params, _drift(root_seed, seed, plant.drawn))
         layout, problem = layout._replace(drifting=False), problem._replace(params=jax.tree.map(np.asarray, params))
     if layout.pending:
-        decisions = -(-len(problem.schedule.event) // int(problem.network.every))
+        decisions = -(-len(problem.schedule.event) // int(problem.network.period_ticks))
         root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
         network = tuple(
             np.asarray(rng.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]

@@ -52,7 +52,7 @@ class MomentRequest(NamedTuple):
     record: str = ""  # nothing, "std" or "covariance" over time
     points: int = 0  # approximate number of recorded ticks; 0: every tick
 
-    def every(self, ticks: int) -> int:
+    def interval(self, ticks: int) -> int:
         """Return the recording interval in ticks."""
         return max(1, ticks // self.points) if self.points else 1
 
@@ -202,7 +202,7 @@ def _submit(threads: ThreadPoolExecutor, window: list[Work], request: MomentRequ
 
 
 def _compute(realisations: list[Realisation], request: MomentRequest, width: int | None = None) -> Outcome:
-    return compute(realisations, request.record, request.every(int(realisations[0].problem.windows[-1, 1])), width)
+    return compute(realisations, request.record, request.interval(int(realisations[0].problem.windows[-1, 1])), width)
 
 
 def _moments(work: Work, request: MomentRequest, unmergeable: set[Hashable]) -> CellMoments:

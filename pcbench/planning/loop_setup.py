@@ -106,7 +106,7 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Params, command_network
 def max_pending(cell: Cell) -> int:
     """Return the number of commands that the network to the plant can hold; 0 for an actuator delay common to all runs."""
     numbers = network(cell)
-    return command_network.room(int(numbers.every), int(numbers.delay), int(numbers.jitter)) if numbers else 0
+    return command_network.room(int(numbers.period_ticks), int(numbers.delay), int(numbers.jitter)) if numbers else 0
 
 
 def network(cell: Cell) -> command_network.NetworkParams | tuple[()]:
@@ -116,7 +116,7 @@ def network(cell: Cell) -> command_network.NetworkParams | tuple[()]:
         return ()
     context = controller_table.controller_context(s)
     return command_network.NetworkParams(
-        every=np.asarray(context.every(getattr(options(cell), "period", None))),
+        period_ticks=np.asarray(context.every(getattr(options(cell), "period", None))),
         delay=np.asarray(times.to_ticks(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.to_ticks(loop.command_jitter, s)),
         loss=np.asarray(loop.command_loss),

@@ -36,7 +36,7 @@ class Load(NamedTuple):
     """The samples that a processor can process."""
 
     wait: int  # ticks, computing time of a sample; NEVER: longer than a run
-    every: int  # m: every m-th sample is used
+    stride: int  # m: every m-th sample is used
 
 
 NEVER = -1
@@ -59,7 +59,7 @@ def load_of(cost: Callable[[int, int], Cost], clock: Clock, ticks: int, speed: f
     by_age, by_interval = (max(c.sample - base.sample, 0) for c in (older, rarer))
     load = IDLE
     while delay + load.wait <= ticks:
-        sample = base.sample + (by_age * load.wait + by_interval * (load.every - 1) * period) / period
+        sample = base.sample + (by_age * load.wait + by_interval * (load.stride - 1) * period) / period
         ticks_needed = computing_time(sample, base.tick, speed, dt) / dt
         if not ticks_needed <= ticks:
             break
@@ -80,7 +80,7 @@ def _clock_with_load(clock: Clock, load: Load, ticks: int) -> Clock:
     if load.wait == NEVER:  # equivalent to the loss of all samples
         return clock._replace(outage=(0, ticks + 1))
     delay = clock.period if clock.delay is None else clock.delay
-    return clock._replace(period=load.every * clock.period, delay=delay + load.wait, stride=load.every)
+    return clock._replace(period=load.stride * clock.period, delay=delay + load.wait, stride=load.stride)
 
 
 def times_in(cell: Cell) -> tuple[float, int]:

@@ -119,7 +119,7 @@ def _ask(profile: Profile, best: Delays, direction: Ints, by: Ints) -> tuple[Int
     moves = np.unique(np.append(by, 0))
     points = np.array(best) + moves[:, None] * direction
     inside = ((points >= profile.low) & (points <= profile.high)).all(1)
-    return moves[inside], np.array(profile.ask([tuple(each) for each in points[inside].tolist()]))
+    return moves[inside], np.array(profile.ask([tuple(delays) for delays in points[inside].tolist()]))
 
 
 def _search(profile: Profile, best: Delays, direction: Ints, step: int, full_range: bool) -> Delays:
@@ -182,7 +182,7 @@ def _joint(profile: Profile, best: Delays, slices: list[Slice]) -> tuple[Floats,
     moves = [0 * e[0], *e, *-e]
     moves += [a * e[i] + b * e[j] for i, j in combinations(range(len(inner)), 2) for a in (1, -1) for b in (1, -1)]
     x = np.array(moves)
-    drop = profile.cache[best].value - np.array(profile.ask([tuple((best + h * each).tolist()) for each in x]))
+    drop = profile.cache[best].value - np.array(profile.ask([tuple((best + h * step).tolist()) for step in x]))
     x, weight = x[:, inner], 1.0 / (1.0 + np.abs(drop))
     pairs = list(combinations_with_replacement(range(len(inner)), 2))
     columns = np.column_stack([np.ones(len(x)), x, *(x[:, i] * x[:, j] for i, j in pairs)])

@@ -65,14 +65,14 @@ def add(sums: Sums, stats: Floats, held_out: Bools) -> Sums:
     tested = stats[:, 1] > 0
     stats, part = stats[tested], held_out[tested].astype(int)
     z = stats[:, 3] / np.sqrt(stats[:, 1])
-    every, n_old = np.concatenate([sums.newest, z]), len(sums.newest)
-    products = [every[max(n_old, h) :] @ every[max(n_old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
+    z_all, n_old = np.concatenate([sums.newest, z]), len(sums.newest)
+    products = [z_all[max(n_old, h) :] @ z_all[max(n_old, h) - h : max(len(z_all) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
         totals=sums.totals + [np.bincount(part, stats[:, i], 2)[:2] for i in range(3)],
         samples=sums.samples + len(z),
         z_sum=sums.z_sum + float(z.sum()),
         products=sums.products + np.array(products),
-        newest=every[-LAGS:],
+        newest=z_all[-LAGS:],
     )
 
 
@@ -100,9 +100,9 @@ def by_channel(
     """
     keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "mean", "ljung_box_p")
     rows: list[dict[str, Any]] = []
-    for observer, (total, each) in innovations.items():
-        if any(sums.samples for sums in each) or not total.samples:
-            for name, n_arrived, sums in zip(channels, arrived.tolist(), each, strict=True):
+    for observer, (total, by_channel) in innovations.items():
+        if any(sums.samples for sums in by_channel) or not total.samples:
+            for name, n_arrived, sums in zip(channels, arrived.tolist(), by_channel, strict=True):
                 results = results_of(sums)
                 row = {"observer": observer, "channel": name, "skipped": n_arrived - sums.samples}
                 rows.append(row | {key: results[key] for key in keys})

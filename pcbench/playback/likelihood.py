@@ -112,7 +112,7 @@ def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], Py
         if affine[0] is None:
             leaves, tree = jax.tree.flatten(design(point))
             real = tuple(bool(np.issubdtype(np.result_type(a), np.floating)) for a in leaves)
-            directions = [np.stack(each) for each in zip(*optimizers.directions(design, point), strict=True)]
+            directions = [np.stack(rows) for rows in zip(*optimizers.directions(design, point), strict=True)]
         else:
             tree, real, start, slope = affine[0]
             v = np.exp(np.clip(point, *Z_RANGE))

@@ -182,11 +182,11 @@ def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, 
         draft.write(replay_metrics.estimates_table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, a.clock))
         progress.step(n_ticks)
         stats = {label: np.asarray(outputs[label].innovation_stats) for label in innovations}
-        by_channel = {label: each[..., step_block.N_STATS :] for label, each in stats.items()}
+        by_channel = {label: numbers[..., step_block.N_STATS :] for label, numbers in stats.items()}
         table = replay_metrics.innovation_table(w, part.first, by_channel, a.log.channels, a.clock)
         draft.write(table, replay_metrics.INNOVATIONS)
-        for label, each in stats.items():
-            rows = each[..., : step_block.N_STATS + q].reshape(-1, step_block.N_STATS + q)
+        for label, numbers in stats.items():
+            rows = numbers[..., : step_block.N_STATS + q].reshape(-1, step_block.N_STATS + q)
             innovations[label] = innovations[label].add(rows, np.repeat(ticks >= held_out_start, p.slots))
         truth = np.abs(part.truth[:n_ticks])
         largest = np.fmax(largest, truth.max(0, initial=0.0, where=~np.isnan(truth)))
@@ -234,7 +234,7 @@ def _results(
     """Return the tables of a replay."""
     signals, dt = signals_of(a.cell.scenario), a.clock.dt
     innovations = pd.DataFrame(
-        [{"observer": label, **innovation_tests.results_of(each.total)} for label, each in passage.innovations.items()]
+        [{"observer": label, **innovation_tests.results_of(sums.total)} for label, sums in passage.innovations.items()]
     )
     channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.n_arrived)
     a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))

@@ -28,18 +28,18 @@ def tables_of(
             "--log: got a scenario that measured before t = 0, expected one that begins there; use another."
         )
     last = len(recording.x) - 1
-    every = sorted((s for s in samples if s.tick <= last), key=lambda s: (s.tick, s.channel))
+    by_time = sorted((s for s in samples if s.tick <= last), key=lambda s: (s.tick, s.channel))
     k, slot, channel = np.nonzero(schedule.mask)
     numbers = schedule.number[k, slot, channel].tolist()
     value = dict(zip(zip(channel.tolist(), numbers, strict=True), recording.arrivals[k, slot, channel], strict=True))
-    values = np.array([value.get((s.channel, s.number), np.nan) for s in every])
-    arrived = np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every])
+    values = np.array([value.get((s.channel, s.number), np.nan) for s in by_time])
+    arrived = np.array([s.arrives * dt if s.arrives <= last else np.nan for s in by_time])
     batch = Batch(
-        channel=np.array([s.channel for s in every], int),
-        sampled=np.array([s.assumed_tick(0) * dt for s in every]),
+        channel=np.array([s.channel for s in by_time], int),
+        sampled=np.array([s.assumed_tick(0) * dt for s in by_time]),
         arrived=np.where(np.isnan(values), np.nan, arrived),  # a sensor may not have sent it
         value=values,
-        row=np.arange(1, len(every) + 1),
+        row=np.arange(1, len(by_time) + 1),
     )
     t = np.arange(float(last + 1)) * dt
     channels = [f"y{i + 1}" for i in range(schedule.mask.shape[2])]

@@ -86,7 +86,7 @@ def forward(model: Linear, u: Array, y: Array) -> Forward:
             keep = jnp.eye(len(x)) - jnp.outer(K, c)
             x, P = x + K * nu, keep @ P @ keep.T + r * jnp.outer(K, K)
             updates.append((K, nu, jnp.where(exists, s, 1.0)))
-        values = Forward(*carry, *(jnp.stack(each) for each in zip(*updates, strict=True)))
+        values = Forward(*carry, *(jnp.stack(rows) for rows in zip(*updates, strict=True)))
         return (model.Phi @ x + model.Gamma @ u, model.Phi @ P @ model.Phi.T + model.Q), values
 
     rows = (u, y, jnp.broadcast_to(model.R, y.shape))

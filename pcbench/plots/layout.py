@@ -216,10 +216,10 @@ def _thin_out(ax: Axes, side: str) -> None:
     for i in range(1, len(ends)):
         if _has_gap(ends[visible[-1]], ends[i], gap):
             visible.append(i)
-    steps = np.abs(np.diff([sum(each) / 2 for each in ends]))
+    steps = np.abs(np.diff([sum(end) / 2 for end in ends]))
     if steps.max() < EVEN * steps.min():
-        every = (list(range(0, len(ends), n)) for n in range(1, len(ends) + 1))
-        visible = next(each for each in every if all(_has_gap(ends[i], ends[j], gap) for i, j in pairwise(each)))
+        subsets = (list(range(0, len(ends), n)) for n in range(1, len(ends) + 1))
+        visible = next(part for part in subsets if all(_has_gap(ends[i], ends[j], gap) for i, j in pairwise(part)))
     if len(visible) < len(ends):
         labels = [t.label1.get_text() if i in visible else "" for i, t in enumerate(ticks)]
         axis.set_ticks([t.get_loc() for t in ticks], labels)

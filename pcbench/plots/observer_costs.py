@@ -16,7 +16,7 @@ def frame_of(study: Study, scenario: str, out: str | Path | None, cell: int = 0)
 
     None if the scenario has continuous measurements, or if the code of an observer is not loaded.
     """
-    grid_point = next(each for each in cells(study, scenario) if each.number == cell)
+    grid_point = next(c for c in cells(study, scenario) if c.number == cell)
     if grid_point.scenario.sampling.continuous:
         return None
     entry = example_cache.CacheEntry(f"{scenario}.costs", grid_point, ["of the last sample"])
@@ -24,7 +24,7 @@ def frame_of(study: Study, scenario: str, out: str | Path | None, cell: int = 0)
     if costs is not None or not entry.is_computable:
         return costs
     with config.float64():
-        counts = {label: each for p in drafts([grid_point]) for label, each in operation_counts.costs(p).items()}
+        counts = {label: cost for p in drafts([grid_point]) for label, cost in operation_counts.costs(p).items()}
     head = {"scenario": grid_point.scenario.name, "cell": cell}
-    rows = [head | {"observer": label, **each._asdict()} for label, each in counts.items()]
+    rows = [head | {"observer": label, **cost._asdict()} for label, cost in counts.items()]
     return example_cache.store(out, entry, pd.DataFrame(rows))

@@ -97,7 +97,7 @@ def describe_seeds(run: pd.DataFrame, seed: int) -> str:
 
 
 def _cell(study: Study, scenario: str, number: int) -> Cell:
-    by_number = {each.number: each for each in cells(study, scenario)}
+    by_number = {c.number: c for c in cells(study, scenario)}
     if number not in by_number:
         raise UserError(
             f"--grid-point: got {number}, expected one of 0 .. {len(by_number) - 1}, the grid points of {scenario}; use "
@@ -110,7 +110,7 @@ class Task(NamedTuple):
     """A plan to simulate: of all observers of an open loop, or of one of a closed loop."""
 
     plan: Plan  # its width is the number of seeds
-    every: int  # ticks from row to row
+    interval: int  # ticks from row to row
     rows: int
     seeds: NDArray[np.int64]  # [RUNS], or [1] where all runs are alike
 
@@ -124,7 +124,7 @@ def _simulate(at: Mapping[str, Cell], root_seed: int, seed: int, progress: Progr
     progress.begin("runs over time", len(tasks))
     groups: dict[Hashable, list[Task]] = {}  # by program, which is then made once
     for task in tasks:
-        groups.setdefault((padding.key_of(task.plan), task.every, task.rows), []).append(task)
+        groups.setdefault((padding.key_of(task.plan), task.interval, task.rows), []).append(task)
     with thread_pools.pool(runner.cores()) as threads:
         work = [threads.submit(runner.in_float64, _record, group, root_seed) for group in groups.values()]
         trajectories: dict[int, Trajectories] = {}
@@ -144,24 +144,24 @@ def _task(plan: Plan, root_seed: int, seed: int) -> Task:
     is_random = layout.random_initial_state or layout.scattered or layout.drifting or layout.pending
     runs_differ = bool(has_noise or is_random or np.any(p.process_std)) and not plan.cell.times.random
     n_runs = RUNS if runs_differ else 1
-    every = -(-(ticks + 1) // (2 * POINTS)) if ticks >= POINTS else 1
+    interval = -(-(ticks + 1) // (2 * POINTS)) if ticks >= POINTS else 1
     plan = alone(plan, root_seed, seed)
     plan = plan._replace(layout=plan.layout._replace(width=n_runs))
-    return Task(plan, every, ticks // every + 1, np.arange(seed, seed + n_runs))
+    return Task(plan, interval, ticks // interval + 1, np.arange(seed, seed + n_runs))
 
 
 def _record(group: list[Task], root_seed: int) -> list[Trajectories]:
     """Return the runs of plans of one shape."""
-    layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
+    layout, interval, rows = group[0].plan.layout, group[0].interval, group[0].rows
     call = trajectory.jit_record_some()
     arguments = [jax.tree.map(np.asarray, (task.plan.problem, root_seed, task.seeds)) for task in group]
-    return [jax.tree.map(np.asarray, call(layout, every, rows, *numbers)) for numbers in arguments]
+    return [jax.tree.map(np.asarray, call(layout, interval, rows, *numbers)) for numbers in arguments]
 
 
 def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.DataFrame]:
     """Yield the series of one plan; `first` of its scenario."""
     plan, scenario = task.plan, task.plan.cell.scenario
-    t, is_closed = task.every * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
+    t, is_closed = task.interval * np.arange(task.rows) * scenario.dt, bool(scenario.loop.controller)
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
     outputs = outputs_of_states(scenario)
     plant = f"{UNDER}{plan.labels[0]}" if is_closed else "plant"

@@ -204,9 +204,9 @@ def log_likelihood(r: Replay, observer: str) -> pd.DataFrame:
     sums = np.zeros((2, PERIODS))
     for part in parts(r.folder / INNOVATIONS, ["arrived", nu, sigma]):
         part = part[np.isfinite(part[sigma])]
-        each = -0.5 * (np.log(2 * np.pi * part[sigma] ** 2) + (part[nu] / part[sigma]) ** 2)
+        log_density = -0.5 * (np.log(2 * np.pi * part[sigma] ** 2) + (part[nu] / part[sigma]) ** 2)
         place = np.minimum((part.arrived.to_numpy() / r.end * PERIODS).astype(int), PERIODS - 1)
-        sums += [np.bincount(place, weights, PERIODS) for weights in (each, np.ones(len(place)))]
+        sums += [np.bincount(place, weights, PERIODS) for weights in (log_density, np.ones(len(place)))]
     with np.errstate(invalid="ignore"):
         value = sums[0] / sums[1]
     return pd.DataFrame({"t": (np.arange(PERIODS) + 0.5) * r.end / PERIODS, "value": value})

@@ -123,11 +123,11 @@ def _draw_errors(ax: Axes, r: Replay, by_observer: Mapping[str, pd.DataFrame], l
     set_range(ax, "y", pd.concat(values), log=False)
 
 
-def innovations(r: Replay, channel: str, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+def innovations(r: Replay, channel: str, by_observer: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
     """Return the innovations of a channel over the time of arrival, one panel per observer, with their 95 % bands."""
     unit = unit_of(r, channel)
-    with sheet(paper, "", panels=len(every), width=WIDE * paper.width, keys=[BAND]) as (figure, axes):
-        for ax, (observer, stats) in zip(axes, every.items(), strict=True):
+    with sheet(paper, "", panels=len(by_observer), width=WIDE * paper.width, keys=[BAND]) as (figure, axes):
+        for ax, (observer, stats) in zip(axes, by_observer.items(), strict=True):
             rows, colour = stats.samples, styles(r.observers)[observer].colour
             set_limits(ax, "x", 0.0, r.end)
             band, steady = Z95 * rows.sigma, _steady(r, rows, "arrived")
@@ -142,25 +142,28 @@ def innovations(r: Replay, channel: str, every: Mapping[str, Innovations], paper
 
 def unit_of(r: Replay, channel: str) -> str:
     """Return the unit of a channel in brackets."""
-    unit = next(each["unit"] for each in r.summary["outputs"] if each["channel"] == channel)
+    unit = next(row["unit"] for row in r.summary["outputs"] if row["channel"] == channel)
     return f"[{unit or 'unit of the channel'}]"
 
 
-def autocorrelation(r: Replay, every: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
+def autocorrelation(r: Replay, by_observer: Mapping[str, Innovations], paper: Paper = PAPER) -> Figure:
     """Return the autocorrelation of the normalised innovations of a channel, with the 95 % band of white ones."""
-    band = Z95 / np.sqrt(min(stats.many for stats in every.values()))
-    lags = max(len(stats.autocorrelation) for stats in every.values())
+    band = Z95 / np.sqrt(min(stats.many for stats in by_observer.values()))
+    lags = max(len(stats.autocorrelation) for stats in by_observer.values())
     with sheet(paper, "", keys=[BAND], width=WIDE * paper.width) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, lags + 1.0)
         set_range(
-            ax, "y", [2 * band, -2 * band, *(v for each in every.values() for v in each.autocorrelation)], log=False
+            ax,
+            "y",
+            [2 * band, -2 * band, *(v for s in by_observer.values() for v in s.autocorrelation)],
+            log=False,
         )
         ax.set(title="autocorrelation of the normalised innovations [-]", xlabel="lag [measurements]")
         ax.axhspan(-band, band, color=GRID, linewidth=0, zorder=1)
         ax.axhline(0.0, color=SOFT, linewidth=0.6, zorder=1.1)
         for observer, line in lines(r.observers).items():
-            if observer in every:
-                r_h = every[observer].autocorrelation
+            if observer in by_observer:
+                r_h = by_observer[observer].autocorrelation
                 marker = styles(r.observers)[observer].marker
                 ax.plot(1 + np.arange(len(r_h)), r_h, marker=marker, markersize=4, **line)
     return figure
@@ -171,7 +174,7 @@ def log_likelihood(r: Replay, observers: Sequence[str], paper: Paper = PAPER) ->
     by_observer = {observer: replay_frames.log_likelihood(r, observer) for observer in observers}
     with sheet(paper, "", width=WIDE * paper.width) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, r.end)
-        set_range(ax, "y", pd.concat([_steady(r, each).value for each in by_observer.values()]), log=False)
+        set_range(ax, "y", pd.concat([_steady(r, rows).value for rows in by_observer.values()]), log=False)
         ax.set(title="mean log-likelihood per measured value [-]", xlabel="time of arrival [s]")
         start = r.summary["held_out_from"]
         ax.axvline(start, color=SOFT, linewidth=0.8, linestyle=(0, (4, 2)), label="start of the held-out part")

@@ -72,9 +72,9 @@ def contents(path: Path) -> list[TopicContents]:
     kind = readers.format_of(path, path.name)
     source = Source(path, "", [], set(), None, path.name, topics={""}, cache={})
     topics = list(TOPICS[kind](source))
-    source = source._replace(topics={each.name for each in topics}, cache={})
+    source = source._replace(topics={topic.name for topic in topics}, cache={})
     out = [_contents(source, topic, kind) for topic in topics]
-    if not any(each.fields for each in out):
+    if not any(topic.fields for topic in out):
         raise UserError(f"{path}: got no field of numbers, expected one at least; see whether this is the right file.")
     return out
 

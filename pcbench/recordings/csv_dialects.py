@@ -81,7 +81,7 @@ def dialect(path: Path, options: CsvOptions) -> Dialect:
     lines = re.split(r"\r\n|\n|\r", text)
     lines = (lines[:-1] if is_truncated and len(lines) > 1 else lines)[:LINES]
     fits = [_fit_separator(lines, s) for s in ([options.separator] if options.separator else SEPARATORS)]
-    fit = max(fits, key=lambda each: (each.share, each.rows, each.n_columns))
+    fit = max(fits, key=lambda fit: (fit.share, fit.rows, fit.n_columns))
     separator, n_columns = fit.separator, fit.n_columns
     head, first = _head(lines, fit, options.head)
     rows = [_cells(line, separator) for line in lines[first:] if not _is_comment(line)]
@@ -154,7 +154,7 @@ def _fit_separator(lines: list[str], separator: str) -> SeparatorFit:
             break
     if len(run) > 1 and run[-1] == next(iter(kinds)):  # a head with a number among its names
         below = [{kinds[i][c] for i in run[:-1]} for c in range(n_columns)]
-        if any(kind == "word" and "word" not in each for kind, each in zip(kinds[run[-1]], below, strict=True)):
+        if any(kind == "word" and "word" not in other for kind, other in zip(kinds[run[-1]], below, strict=True)):
             run.pop()
     row_kinds = [kind for i in run for kind in kinds[i]]
     share = sum(kind != "word" for kind in row_kinds) / max(len(row_kinds), 1)

@@ -109,14 +109,14 @@ def require_small_bag(path: Path, where: str) -> None:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    for each in filter(Path.is_file, path.iterdir() if path.is_dir() else [path]):
-        with each.open("rb") as file:
+    for member in filter(Path.is_file, path.iterdir() if path.is_dir() else [path]):
+        with member.open("rb") as file:
             head = file.read(len(SQLITE))
-            if not head.startswith((MCAP, SQLITE)) and each.suffix != ".bag":
+            if not head.startswith((MCAP, SQLITE)) and member.suffix != ".bag":
                 file.seek(0)
-                require_small_stream(file, "zstd", each.stat().st_size, where)
+                require_small_stream(file, "zstd", member.stat().st_size, where)
         if head.startswith(MCAP):
-            require_small_mcap(each, where)
+            require_small_mcap(member, where)
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         for reader in bag.readers:
             for chunk in getattr(reader, "chunks", {}).values():

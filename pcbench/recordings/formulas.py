@@ -91,7 +91,7 @@ def _evaluator(tree: Tree) -> Callable[[Columns], Floats]:
     def evaluate_node(node: Tree, part: Columns) -> Any:
         if not isinstance(node, tuple):
             return (np.pi if node == "pi" else part[node]) if isinstance(node, str) else node
-        arguments = [evaluate_node(each, part) for each in node[1:]]
+        arguments = [evaluate_node(argument, part) for argument in node[1:]]
         if node[0] in PLAIN:
             return PLAIN[node[0]][0](*arguments)
         if node[0] in expression.OPERATORS:

@@ -26,7 +26,7 @@ def table_of(
 
     def read() -> Iterator[Rows]:
         row, before = 1, -np.inf
-        evaluators = [each.evaluator() for each in quantities.values()]
+        evaluators = [quantity.evaluator() for quantity in quantities.values()]
         for part in columns():
             values = np.stack([evaluate(part) for evaluate in evaluators], 1)
             rows = np.arange(row, row + len(values), dtype=np.int64)
@@ -54,7 +54,7 @@ def merge(tables: Sequence[Table], order: Sequence[str], hold: bool) -> Table:
         import pandas as pd
 
         carry = pd.Series(0.0, list(order))
-        for rows in _in_order([_frames(each) for each in tables]):
+        for rows in _in_order([_frames(table) for table in tables]):
             by_time = rows.groupby(level=0).last()  # of several rows at one time, the last value
             values = by_time.reindex(columns=list(order))
             if hold:
@@ -77,10 +77,10 @@ def _in_order(readers: list[Iterator["pd.DataFrame"]]) -> Iterator["pd.DataFrame
     import pandas as pd
 
     pending = [next(reader, None) for reader in readers]
-    while unread := [each for each in pending if each is not None]:
-        until = min(each.index[-1] for each in unread)
-        yield pd.concat([each[each.index <= until] for each in unread])
-        for i, each in enumerate(pending):
-            if each is not None:
-                tail = each[each.index > until]
+    while unread := [frame for frame in pending if frame is not None]:
+        until = min(frame.index[-1] for frame in unread)
+        yield pd.concat([frame[frame.index <= until] for frame in unread])
+        for i, frame in enumerate(pending):
+            if frame is not None:
+                tail = frame[frame.index > until]
                 pending[i] = tail if len(tail) else next(readers[i], None)

@@ -50,7 +50,7 @@ def lags_of(log: Log) -> list[Lag]:
             break
     series = [np.concatenate(p) if p else np.zeros((0, 2)) for p in parts]
     lags = (_lag(log.channels[i], log.channels[j], series[i], series[j]) for i, j in combinations(range(len(parts)), 2))
-    return [each for each in lags if each is not None]
+    return [lag for lag in lags if lag is not None]
 
 
 def _lag(first: str, second: str, a: Floats, b: Floats) -> Lag | None:

@@ -91,7 +91,7 @@ def _within(struct: Any, field: str, source: Source) -> Any:
             value = signals_of(value)
         inner = value if isinstance(value, dict) else {}
         if isinstance(value, list):
-            inner = {str(i): each for i, each in enumerate(value)}
+            inner = {str(i): entry for i, entry in enumerate(value)}
         if part not in inner:
             time = NO_TIME if field in source.times else ""
             raise unknown(source.place, f"variable{time}", field if inner is struct else part, inner or struct)

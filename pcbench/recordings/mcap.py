@@ -20,7 +20,7 @@ def topics(source: Source) -> Iterator[Topic]:
     with _open_reader(source) as reader:
         summary = reader.get_summary()
         schemas, channels = (summary.schemas, summary.channels) if summary else ({}, {})
-        kinds = {each.topic: getattr(schemas.get(each.schema_id), "name", "") for each in channels.values()}
+        kinds = {channel.topic: getattr(schemas.get(channel.schema_id), "name", "") for channel in channels.values()}
         for schema, channel, _ in () if summary else reader.iter_messages(log_time_order=False):
             kinds.setdefault(channel.topic, getattr(schema, "name", ""))
         for name, kind in kinds.items():
@@ -36,7 +36,7 @@ def columns(source: Source) -> Iterator[Columns]:
     with _open_reader(source) as reader:
         summary = reader.get_summary()
         if summary is not None:
-            require_topic(source.topic, {each.topic for each in summary.channels.values()}, source.where)
+            require_topic(source.topic, {channel.topic for channel in summary.channels.values()}, source.where)
         # in order of time; without an index in file order, as sorting would hold all messages in memory
         has_index = summary is not None and bool(summary.chunk_indexes)
         raw = reader.iter_messages(topics=[source.topic], log_time_order=has_index)

@@ -37,11 +37,11 @@ def topic_of(messages: Iterable[tuple[int, object]], name: str, kind: str) -> It
             numbers, times = _leaves(message)
             yield Topic(name, kind, numbers, [*times, RECEIVED])
             return
-        for each in transforms:
-            frame = str(_member(each, "child_frame_id"))
+        for transform in transforms:
+            frame = str(_member(transform, "child_frame_id"))
             if frame not in frames and len(frames) < FRAMES:
                 frames[frame] = None
-                numbers, times = _leaves(each)
+                numbers, times = _leaves(transform)
                 yield Topic(name, kind, numbers, [*times, RECEIVED], frame)
     if not frames:
         yield Topic(name, f"{kind}, no messages", [])
@@ -56,7 +56,7 @@ def _leaves(message: object, prefix: str = "", depth: int = 8) -> tuple[list[str
             numbers.append(path)
         elif isinstance(value, list | tuple | np.ndarray):
             short = value if len(value) <= SHORT else []
-            numbers += [f"{path}.{i}" for i, each in enumerate(short) if isinstance(each, int | float | np.number)]
+            numbers += [f"{path}.{i}" for i, number in enumerate(short) if isinstance(number, int | float | np.number)]
         elif any(all(_member(value, part) is not NONE for part in pair) for pair in STAMP):
             times.append(path)
         elif depth and not isinstance(value, str | bytes) and value is not None and not callable(value):
@@ -74,10 +74,10 @@ def _of_frame(messages: Iterable[tuple[int, object]], source: Source) -> Iterato
     frames: set[str] = set()
     for receive_time, message in messages:
         transforms = _member(message, "transforms")
-        for each in transforms if isinstance(transforms, list) else []:
-            frames.add(str(_member(each, "child_frame_id")))
-            if _member(each, "child_frame_id") == source.frame:
-                yield receive_time, each
+        for transform in transforms if isinstance(transforms, list) else []:
+            frames.add(str(_member(transform, "child_frame_id")))
+            if _member(transform, "child_frame_id") == source.frame:
+                yield receive_time, transform
     if source.frame not in frames:
         raise unknown(f"{source.where}: {source.topic}", "child frame", source.frame, frames)
 
@@ -100,7 +100,7 @@ def _number(receive_time: int, message: Any, field: str, source: Source, number:
     if field in source.times:
         for pair in STAMP:
             stamp = [_member(value, name) for name in pair]
-            if all(each is not NONE for each in stamp):
+            if all(value is not NONE for value in stamp):
                 return _seconds(*stamp)
     if value is None:  # null in JSON: not measured
         return math.nan

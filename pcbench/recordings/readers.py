@@ -239,15 +239,15 @@ def _keys(model: type[BaseModel], parents: list[int | str]) -> Iterable[str]:
     if not parents:
         return model.model_fields
     kind = model.model_fields[str(parents[0])].annotation
-    (inner,) = [each for each in (kind, *get_args(kind)) if isinstance(each, type) and issubclass(each, BaseModel)]
+    (inner,) = [part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, BaseModel)]
     return inner.model_fields
 
 
 def _maps_fields(raw: TomlTable) -> bool:
     """Return whether a TOML maps fields to channels."""
     channels = raw.get("channels")
-    each = channels.values() if isinstance(channels, dict) else ()
-    return any(isinstance(c, dict) and c.keys() & {"field", "formula"} for c in each)
+    entries = channels.values() if isinstance(channels, dict) else ()
+    return any(isinstance(c, dict) and c.keys() & {"field", "formula"} for c in entries)
 
 
 def has_tables(file: Path) -> bool:
@@ -287,7 +287,7 @@ def _channel(
     if c.t:
         raise UserError(f"{where}: got t, expected sampled, the key of a channel; write sampled.")
     noise_field, value = c.std or c.variance, quantity(c.field, c.formula, c.scale, c.offset, where)
-    time_fields = [each for each in (stamp, arrival_field) if each]
+    time_fields = [name for name in (stamp, arrival_field) if name]
     fields = [*value.fields, *time_fields, *([noise_field] if noise_field else [])]
     source = source._replace(topic=c.topic, frame=c.frame, fields=fields, times=set(time_fields))
 
@@ -344,13 +344,13 @@ def _table(columns: dict[str, Column], kind: Format, source: Source, section: st
             for name, c in group.items()
         }
         fields = list(
-            dict.fromkeys([*(field for each in values.values() for field in each.fields), *filter(None, [stamp])])
+            dict.fromkeys([*(field for value in values.values() for field in value.fields), *filter(None, [stamp])])
         )
         topic_source = source._replace(
             topic=c.topic,
             frame=c.frame,
             fields=fields,
-            times={each for each in [stamp] if each},
+            times={name for name in [stamp] if name},
             default_stamp=c.t is None,
         )
         topic_tables.append(table_of(partial(kind.columns, topic_source), times, values, f"{source.where}: {section}"))

@@ -18,7 +18,7 @@ class RunningStats(NamedTuple):
     least_mark: float = np.nan  # of the first smallest number
     most: float = -np.inf
     most_mark: float = np.nan
-    every: int = 1  # so many numbers per row of the selection
+    stride: int = 1  # so many numbers per row of the selection
     selection: Floats = np.zeros((0, 2))  # [at most MOST, 2] mark and number
 
     @property
@@ -29,7 +29,7 @@ class RunningStats(NamedTuple):
     def quantiles(self, *shares: float) -> list[float]:
         """Return quantiles of the selection; NaN if empty."""
         values = np.quantile(self.selection[:, 1], shares) if self.many else np.full(len(shares), np.nan)
-        return [float(each) for each in values]
+        return [float(value) for value in values]
 
     @property
     def first_mark(self) -> int | None:
@@ -48,13 +48,13 @@ def add(before: RunningStats, marks: Floats | Ints, numbers: Floats) -> RunningS
     marks, numbers = marks[exists], numbers[exists]
     if not numbers.size:
         return before
-    first, stride = -before.many % before.every, before.every
+    first, stride = -before.many % before.stride, before.stride
     selection = np.concatenate([before.selection, np.stack([marks, numbers], 1)[first::stride]])
     while len(selection) > MOST:
         selection, stride = selection[::2], 2 * stride
     low, high = int(np.argmin(numbers)), int(np.argmax(numbers))
     out = before._replace(
-        many=before.many + numbers.size, total=before.total + float(numbers.sum()), every=stride, selection=selection
+        many=before.many + numbers.size, total=before.total + float(numbers.sum()), stride=stride, selection=selection
     )
     if numbers[low] < out.least:
         out = out._replace(least=float(numbers[low]), least_mark=float(marks[low]))
@@ -65,8 +65,8 @@ def add(before: RunningStats, marks: Floats | Ints, numbers: Floats) -> RunningS
 
 def largest(before: Floats, sizes: Floats, *marks: Floats | Ints) -> Floats:
     """Return the hundred rows (size, *marks) with the largest sizes, of those before and further ones."""
-    every = np.concatenate([before, np.stack([sizes, *marks], 1)])
-    return every[np.argsort(-every[:, 0], kind="stable")[:100]]
+    rows = np.concatenate([before, np.stack([sizes, *marks], 1)])
+    return rows[np.argsort(-rows[:, 0], kind="stable")[:100]]
 
 
 def slope(sums: Floats) -> tuple[float, float]:

@@ -264,7 +264,7 @@ def topics(source: Source) -> Iterator[Topic]:
     while types:
         name, kind = types.pop(0)
         if pa.types.is_struct(kind):
-            types = [(f"{name}.{each.name}", each.type) for each in kind] + types
+            types = [(f"{name}.{field.name}", field.type) for field in kind] + types
         elif any(is_kind(kind) for is_kind in (*TIMES, pa.types.is_date)):
             times.append(name)
         elif any(is_kind(kind) for is_kind in NUMBERS):
@@ -335,13 +335,13 @@ def column_of(
 def _within(column: pa.Array, name: str, where: str) -> pa.Array:
     """Return a field of a column of structs, or an entry of one of lists, from 0."""
     if pa.types.is_struct(column.type):
-        inner = [each.name for each in column.type]
+        inner = [field.name for field in column.type]
         if name not in inner:
             raise unknown(where, "field", name, inner)
         return pc.struct_field(column, name)
     if pa.types.is_list(column.type) and name.isdecimal():
         return pa.array(
-            [None if each is None or len(each) <= int(name) else each[int(name)] for each in column.to_pylist()]
+            [None if row is None or len(row) <= int(name) else row[int(name)] for row in column.to_pylist()]
         )
     raise UserError(f"{where}: got {column.type}, which has no '{name}', expected a column of fields; write its name.")
 

@@ -12,7 +12,7 @@ from pcbench.recordings.tables import as_tables
 
 
 def thin_tables(
-    log: Log, every: int, delays: Mapping[str, Floats] | None = None, truth: Sequence[str] | None = None, seed: int = 0
+    log: Log, stride: int, delays: Mapping[str, Floats] | None = None, truth: Sequence[str] | None = None, seed: int = 0
 ) -> dict[str, pa.Table]:
     """Return the tables of a recording with one of `every` measurements of each channel.
 
@@ -26,7 +26,7 @@ def thin_tables(
     samples = Batch(*(np.concatenate(columns) for columns in zip(*batches, strict=True)))
     samples = samples.select(np.argsort(samples.sampled, kind="stable"))
     number = pd.Series(samples.channel).groupby(samples.channel).cumcount().to_numpy()
-    selection = samples.select(number % every == 0)
+    selection = samples.select(number % stride == 0)
     if delays is not None:
         rng, random_delays = np.random.default_rng(seed), np.zeros(len(selection.row))
         for i, name in enumerate(log.channels):

@@ -18,7 +18,7 @@ def columns(source: Source) -> Iterator[Columns]:
     name, _, instance = source.topic.partition(".")
     topic = f"{name}.{instance}" if instance not in ("", "0") else name
     if not source.cache:
-        source.cache.update(_topics(source, sorted({each.partition(".")[0] for each in source.topics})))
+        source.cache.update(_topics(source, sorted({topic.partition(".")[0] for topic in source.topics})))
     if topic not in source.cache:
         require_topic(topic, _topics(source, None), source.where)
     data, out = source.cache[topic], {}
@@ -33,8 +33,8 @@ def columns(source: Source) -> Iterator[Columns]:
 def topics(source: Source) -> Iterator[Topic]:
     """Yield the topics, with their instances."""
     for name, data in _topics(source, None).items():
-        times = [each for each in ("timestamp_sample", "timestamp") if each in data]
-        yield Topic(name, "topic", [each for each in data if each not in times], times)
+        times = [column for column in ("timestamp_sample", "timestamp") if column in data]
+        yield Topic(name, "topic", [column for column in data if column not in times], times)
 
 
 def _topics(source: Source, names: list[str] | None) -> dict[str, dict[str, np.ndarray]]:

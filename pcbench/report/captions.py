@@ -150,11 +150,11 @@ def curve(part: pd.DataFrame, axis: str, unit: str) -> str:
 
 def crossings(changes: list[Crossing]) -> str:
     """Return where the best observer changes, with 95 % intervals; empty if it does not."""
-    each = (
+    sentences = (
         f"{c.above} is better than {c.below} above {number(c.value)} ({number(c.low)} to {number(c.high)})"
         for c in changes
     )
-    return f"Dotted lines, with 95 % intervals: {'; '.join(each)}." if changes else ""
+    return f"Dotted lines, with 95 % intervals: {'; '.join(sentences)}." if changes else ""
 
 
 def ranges(part: pd.DataFrame, unit: str) -> str:
@@ -211,14 +211,14 @@ def _leaves(ax: Axes) -> bool:
     """Return whether a line of a panel leaves its range."""
     low, high = sorted(ax.get_ylim())
     values = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
-    return any(bool(((each < low) | (each > high)).any()) for each in values)
+    return any(bool(((value < low) | (value > high)).any()) for value in values)
 
 
 def _has_bars(figure: Figure) -> bool:
     """Return whether an interval is drawn."""
     bars = [c for ax in figure.axes for c in ax.collections if isinstance(c, LineCollection)]
-    segments = [np.asarray(segment) for each in bars for segment in each.get_segments()]
-    return any(len(each) and np.ptp(each[:, 1]) > 0 for each in segments)  # one without a value is empty
+    segments = [np.asarray(segment) for bar in bars for segment in bar.get_segments()]
+    return any(len(segment) and np.ptp(segment[:, 1]) > 0 for segment in segments)  # one without a value is empty
 
 
 def winners_note(standings: pd.DataFrame, figure: Figure, runs: int) -> str:
@@ -289,8 +289,8 @@ def bands(part: pd.DataFrame, unit: str) -> str:
 
 def calibration(transforms: dict[str, Floats]) -> str:
     """Return the actual coverage of each filter's region of nominal coverage 95 %."""
-    each = [f"{o} {100 * float((u <= NINETY_FIVE).mean()):.3g} %" for o, u in transforms.items()]
-    return f"Actual coverage at nominal 95 %: {', '.join(each)} of {max(map(len, transforms.values())):,} runs."
+    coverages = [f"{o} {100 * float((u <= NINETY_FIVE).mean()):.3g} %" for o, u in transforms.items()]
+    return f"Actual coverage at nominal 95 %: {', '.join(coverages)} of {max(map(len, transforms.values())):,} runs."
 
 
 def profiles(matrix: Regrets) -> str:
@@ -314,8 +314,8 @@ def consistency(run: pd.DataFrame) -> str:
 def costs(counts: pd.DataFrame) -> str:
     """Return the operation counts of each observer."""
     text = "{observer} {sample:,} per sample, {tick:,} per tick, {memory:,} bytes"
-    each = "; ".join(text.format_map(row) for row in counts.to_dict("records"))
-    return f"Multiplications of one run, and memory: {each}."
+    texts = "; ".join(text.format_map(row) for row in counts.to_dict("records"))
+    return f"Multiplications of one run, and memory: {texts}."
 
 
 def tolerances(table: pd.DataFrame) -> str:
@@ -328,8 +328,8 @@ def tolerances(table: pd.DataFrame) -> str:
     for axis, group in table.groupby("axis", sort=False):
         by_size = bool((group.most < 0).any()) and not (group.most > 0).any()
         sizes = group.assign(most=group.most.abs()) if by_size else group
-        each = [f"{row['observer']} {most(row['most'])}" for row in sizes.to_dict("records")]
-        texts.append(f"{'size of ' if by_size else ''}{frames.label(str(axis))}: {', '.join(each)}")
+        limits = [f"{row['observer']} {most(row['most'])}" for row in sizes.to_dict("records")]
+        texts.append(f"{'size of ' if by_size else ''}{frames.label(str(axis))}: {', '.join(limits)}")
     return f"Better than model-only: {'; '.join(texts)}."
 
 

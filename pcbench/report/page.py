@@ -102,7 +102,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         if picture["name"].endswith("-bands"):
             picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
     pictures = (part.pictures for section in sections for part in section.parts)
-    headline_figure = next((each.pop(0) for each in pictures if each and each[0]["name"].endswith(HEADLINE)), None)
+    headline_figure = next((group.pop(0) for group in pictures if group and group[0]["name"].endswith(HEADLINE)), None)
     wide = WIDE * options.paper.width
     overview = sorted(figures.of_study(result, options), key=lambda p: p.figure.get_figwidth() > wide)
     head = [*([headline_figure] if headline_figure else []), *map(inline_picture, overview)]
@@ -168,7 +168,7 @@ def share_styles(html: str) -> str:
         return f' class="{names.setdefault(unescape(style[1]), f"s{len(names)}")}"'
 
     html = SVG.sub(lambda svg: STYLE.sub(name, svg[0]), html)
-    rules = "".join(f".{each}{{{style}}}" for style, each in names.items())
+    rules = "".join(f".{selector}{{{style}}}" for style, selector in names.items())
     return html.replace("</style>", f"{rules}</style>", 1)
 
 

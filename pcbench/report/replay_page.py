@@ -81,8 +81,8 @@ def sections(r: Replay, signals: list[str] | None, paper: Paper) -> Iterator[Sec
         yield Section("innovations", "Innovation tests", _tests(r), picture)
     names = [name for name in r.units if not signals or name in signals]
     yield Section("states", "States", _errors(r, names), [_states(r, name, paper) for name in names])
-    for i, channel in enumerate(each["channel"] for each in r.summary["outputs"]):
-        stats = {o: each for o in r.with_innovations if (each := replay_frames.innovations(r, o, channel)).many}
+    for i, channel in enumerate(row["channel"] for row in r.summary["outputs"]):
+        stats = {o: s for o in r.with_innovations if (s := replay_frames.innovations(r, o, channel)).many}
         if stats:
             name = channel if PLAIN.fullmatch(channel) else str(i)
             yield Section(f"channel-{name}", f"Channel {channel}", [], list(_channel(r, channel, name, stats, paper)))
@@ -167,7 +167,7 @@ def _channel(
     r: Replay, channel: str, name: str, stats: dict[str, replay_frames.Innovations], paper: Paper
 ) -> Iterator[Picture]:
     """Yield the figures of a channel; `name` is its name in those of files."""
-    texts = [f"{o} {short(100 * each.outside)} % of {each.many:,}" for o, each in stats.items()]
+    texts = [f"{o} {short(100 * s.outside)} % of {s.many:,}" for o, s in stats.items()]
     yield Picture(
         name=f"innovations-{name}",
         title="Innovations over time",
@@ -175,11 +175,11 @@ def _channel(
         text=f"Outside the band: {', '.join(texts)}.",
         note=f"5 % are expected outside. {THINNED}",
     )
-    if any(len(each.autocorrelation) for each in stats.values()):
-        band = {o: replays.Z95 / each.many**0.5 for o, each in stats.items()}
+    if any(len(s.autocorrelation) for s in stats.values()):
+        band = {o: replays.Z95 / s.many**0.5 for o, s in stats.items()}
         texts = [
-            f"{o} {int((abs(each.autocorrelation) > band[o]).sum())} of {len(each.autocorrelation)} lags"
-            for o, each in stats.items()
+            f"{o} {int((abs(s.autocorrelation) > band[o]).sum())} of {len(s.autocorrelation)} lags"
+            for o, s in stats.items()
         ]
         yield Picture(
             name=f"autocorrelation-{name}",
@@ -193,4 +193,4 @@ def _channel(
 def write_figures(folder: str, out: str, options: FigureOptions, formats: tuple[str, ...]) -> list[str]:
     """Write every figure of a replay's page, and return the names of the files, without their suffix."""
     r = replay_frames.open_replay(folder)
-    return put_figures((p for each in sections(r, options.signals, options.paper) for p in each.pictures), out, formats)
+    return put_figures((p for s in sections(r, options.signals, options.paper) for p in s.pictures), out, formats)

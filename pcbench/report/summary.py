@@ -91,7 +91,7 @@ def tally(rankings: list[Ranking]) -> list[Tally]:
     for _, _, part, standings in rankings:
         totals.update(dict.fromkeys(part.observer, len(standings)))
         wins.update(standings.winner[standings.winner != ""])
-        leads.update(observer for each in standings.leaders for observer in each)
+        leads.update(observer for group in standings.leaders for observer in group)
     look = styles(totals)
     tallies = [Tally(o, look[o].colour, wins[o], leads[o], totals[o]) for o in totals]
     return sorted(tallies, key=lambda t: (-t.wins, -t.leads))

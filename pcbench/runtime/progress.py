@@ -45,7 +45,7 @@ class Stopwatch:
         finally:
             self.seconds[activity] += perf_counter() - start
 
-    def each(self, activity: str, values: Iterable[T]) -> Iterator[T]:
+    def measure_each(self, activity: str, values: Iterable[T]) -> Iterator[T]:
         """Yield items, and measure the time until each arrives."""
         iterator = iter(values)
         while True:

@@ -37,7 +37,7 @@ NEVER = float(2**30)  # the arrival of a lost command
 class NetworkParams(NamedTuple):
     """Parameters of the network; times in ticks."""
 
-    every: Leaf  # p, between decisions
+    period_ticks: Leaf  # p, between decisions
     delay: Leaf  # d
     jitter: Leaf
     loss: Leaf  # probability
@@ -62,9 +62,9 @@ class Commands(NamedTuple):
     noise: Array  # [m] noise of the decision in use
 
 
-def room(every: int, delay: int, jitter: int) -> int:
+def room(period_ticks: int, delay: int, jitter: int) -> int:
     """Return the largest number of decisions on their way at one time."""
-    return (delay + jitter) // every + 1
+    return (delay + jitter) // period_ticks + 1
 
 
 def empty(rows: int, slots: int, inputs: int) -> Commands:
@@ -82,14 +82,14 @@ def command_sampler(p: NetworkParams, root_seed: Array, seeds: Array) -> Callabl
     )
 
     def one(k: Array) -> tuple[Array, Array, Array]:
-        j = k // p.every
+        j = k // p.period_ticks
         return rng.uniform(delay_keys, j), rng.uniform(loss_keys, j), rng.normals(noise_keys, [j for _ in noise_keys])
 
     def none(k: Array) -> tuple[Array, Array, Array]:
         return tuple(jnp.zeros((count, len(seeds))) for count in (1, 1, len(noise_keys)))  # type: ignore[return-value]
 
     def sample(k: Array) -> CommandDraws:
-        return CommandDraws(*lax.cond(k % p.every == 0, one, none, k))
+        return CommandDraws(*lax.cond(k % p.period_ticks == 0, one, none, k))
 
     return sample
 
@@ -99,13 +99,13 @@ def send(
 ) -> Commands:
     """Send the command of tick k if there is a decision, and update the input with the newest arrival."""
     m, P, R = command.shape[0], commands.in_transit.shape[0], commands.inputs.shape[0]
-    number, decides = k // p.every, k % p.every == 0
+    number, decides = k // p.period_ticks, k % p.period_ticks == 0
     arrives = k + p.delay + jnp.floor(draws.delay * (p.jitter + 1))
     arrives = jnp.where(draws.loss < p.loss, NEVER, arrives)
     new = jnp.concatenate([command, p.std * draws.noise, arrives])
     old = lax.dynamic_index_in_dim(commands.in_transit, number % P, 0, False)
     in_transit = lax.dynamic_update_index_in_dim(commands.in_transit, jnp.where(decides, new, old), number % P, 0)
-    ticks = (number - (number - jnp.arange(P)) % P) * p.every * 1.0  # of the decision in each row
+    ticks = (number - (number - jnp.arange(P)) % P) * p.period_ticks * 1.0  # of the decision in each row
     arrived = (in_transit[:, -1] <= k) & (ticks > commands.newest)
     newest = jnp.max(jnp.where(arrived, ticks, commands.newest))
     is_newest = arrived & (ticks == newest)

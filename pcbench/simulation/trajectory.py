@@ -65,10 +65,10 @@ def record(layout: Layout, p: GridPointParams, root_seed: Array, seed: Array, sh
 
 
 def record_some(
-    layout: Layout, every: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array
+    layout: Layout, interval: int, rows: int, p: GridPointParams, root_seed: Array, seeds: Array
 ) -> Trajectories:
     """Record ticks 0, every, 2 every ... of the runs seeds[L], `rows` of them; all runs share one schedule."""
-    ticks = jnp.arange(every * (rows - 1) + 1)
+    ticks = jnp.arange(interval * (rows - 1) + 1)
 
     def one(seed: Array) -> Trajectories:
         start, params, draws = _init_run(layout, p, root_seed, seed)
@@ -91,7 +91,9 @@ def record_some(
             run, values, table = carry
             run, row = simulate_runs.tick(layout, p, params, draws, run, k, read)
             row = row._replace(newest=jnp.where(jnp.isnan(row.newest), values, row.newest))
-            place = jnp.where(k % every == 0, k // every, rows)  # the last row takes the ticks that are not recorded
+            place = jnp.where(
+                k % interval == 0, k // interval, rows
+            )  # the last row takes the ticks that are not recorded
             set_row = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
             return (run, row.newest, jax.tree.map(lambda a, v: set_row(a, v.astype(a.dtype)), table, row)), None
 

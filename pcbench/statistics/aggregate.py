@@ -76,7 +76,7 @@ def accumulate(old: Aggregate | None, s: Stack) -> Aggregate:
     is_good = ~s.diverged
     values = keep_columns(s.values, is_good)
     diverged, unsettled, stats = int(s.diverged.sum()), keep_columns(s.unsettled, is_good).sum(-1), moments(values)
-    inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
+    inside = consistency.inside(values[s.row_indices([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
     innovations = _nis_moments(s, values)
     if old is None:
         return Aggregate(
@@ -180,7 +180,7 @@ def _nis_moments(s: Stack, values: Values) -> Moments | None:
     """Return the moments for the mean of `nis`; a run without a tested sample adds nothing."""
     if ("nis", 0) not in s.rows:
         return None
-    nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_dof"))
+    nis, degrees = (values[s.row_indices([s.rows[name, 0]])] for name in ("nis", "nis_dof"))
     squares = np.where(degrees > 0, nis * degrees, 0.0)
     return moments(np.concatenate([squares, degrees, squares - degrees]))
 

@@ -134,7 +134,7 @@ def add_pairs(
     for pair in itertools.combinations(stacks, 2):
         a, b = (stacks[label] for label in pair)
         names = [(m, i) for i in range(len(sizes)) for m in COMPARED if (m, i) in a.rows and (m, i) in b.rows]
-        in_a, in_b = (s.every([s.rows[name] for name in names]) for s in (a, b))
+        in_a, in_b = (s.row_indices([s.rows[name] for name in names]) for s in (a, b))
         floor = np.array([ZERO * sizes[i] ** (2 if m in POOLED.values() else 1) for m, i in names])
         floor = np.tile(floor, len(in_a) // max(len(names), 1))
         size = max(1, BLOCK // len(a.diverged))

@@ -44,7 +44,7 @@ class Stack(NamedTuple):
     diverged: NDArray[np.bool_]  # [n]; none if there are several grid points
     unsettled: NDArray[np.bool_]  # [C signals, n]
 
-    def every(self, rows: list[int]) -> NDArray[np.int64]:
+    def row_indices(self, rows: list[int]) -> NDArray[np.int64]:
         """Return the indices of rows of one grid point, at all grid points."""
         K = len(self.rows)
         return np.add.outer(np.arange(0, len(self.values), K), np.array(rows, int)).ravel()

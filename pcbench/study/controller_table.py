@@ -138,9 +138,9 @@ def slowest_mode(s: Scenario, where: str) -> SlowestMode | None:
     if law is None:
         return None
     delay = 0 if getattr(options, "knows_delay", False) else context.late
-    every = context.every(getattr(options, "period", None))
-    modes = np.linalg.eigvals(lqr.monodromy_matrix(context.tick, law, every, delay))
-    return SlowestMode(complex(modes[np.argmax(np.abs(modes))]), delay * s.dt, every * s.dt)
+    period = context.every(getattr(options, "period", None))
+    modes = np.linalg.eigvals(lqr.monodromy_matrix(context.tick, law, period, delay))
+    return SlowestMode(complex(modes[np.argmax(np.abs(modes))]), delay * s.dt, period * s.dt)
 
 
 def warning(s: Scenario, where: str) -> str:

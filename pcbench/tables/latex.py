@@ -54,10 +54,10 @@ def split(t: Table, column: float, page_width: float) -> Iterator[tuple[Table, b
         values = sum(widths[i] + 2 * COLSEP for i in columns)
         return max(stub + max(values, over + COLSEP), widest) <= room
 
-    every = range(len(widths))
-    wide = not fits(every, column)
+    indices = range(len(widths))
+    wide = not fits(indices, column)
     for count in range(1, len(widths) + 1):
-        columns = [[int(i) for i in part] for part in np.array_split(every, count)]
+        columns = [[int(i) for i in part] for part in np.array_split(indices, count)]
         if all(fits(part, page_width if wide else column) for part in columns):
             break
     parts = [(rows, part) for rows in _pages(t) for part in columns]

@@ -64,7 +64,7 @@ class Table(NamedTuple):
     @property
     def entries(self) -> list[Entry]:
         """Return all entries, those that are empty left out."""
-        return [e for _, each in self.rows for e in each if e]
+        return [e for _, entries in self.rows for e in entries if e]
 
     @property
     def notes(self) -> list[str]:

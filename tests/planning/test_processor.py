@@ -62,7 +62,7 @@ def slow(every, waits=lambda wait: wait > 0):
     """A speed at which `kf` uses one sample of so many, and the ticks that it takes for it."""
     for speed in np.geomspace(1e4, 105.0, 400).tolist():
         found = processor.load_of(counter(), Clock((0,), 4, 2), 80, speed, 0.1)
-        if found.every == every and waits(found.wait):
+        if found.stride == every and waits(found.wait):
             return speed, found.wait
     raise AssertionError("no such speed")
 

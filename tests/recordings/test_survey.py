@@ -103,5 +103,5 @@ def test_a_selection_of_many_numbers_is_even():
         found = running_stats.add(found, part, part)
     assert (found.many, found.least, found.most) == (200_000, numbers.min(), numbers.max())
     assert found.mean == pytest.approx(numbers.mean(), rel=1e-10)
-    np.testing.assert_array_equal(found.selection[:, 1], numbers[:: found.every])
+    np.testing.assert_array_equal(found.selection[:, 1], numbers[:: found.stride])
     assert len(found.selection) <= running_stats.MOST

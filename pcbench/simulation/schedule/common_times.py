@@ -251,7 +251,7 @@ def _snapshots_by_tick(samples: list[Sample], packet: dict[int, int], ticks: int
 
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Return the schedule of channels j sampled every period[j] ticks from tick 0 on, each delayed by delay[j] ticks."""
-    clocks = [Clock((j,), every, lag) for j, (every, lag) in enumerate(zip(period, delay, strict=True))]
+    clocks = [Clock((j,), interval, lag) for j, (interval, lag) in enumerate(zip(period, delay, strict=True))]
     return schedule(samples_of(clocks, ticks), ticks, len(period))
 
 
