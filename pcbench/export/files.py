@@ -104,16 +104,16 @@ def _export_recording(
     start: float | None,
     overrides: list[str],
 ) -> ExportedObserver:
-    a = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
-    label = next(iter(a.cell.options))
-    p, run = recording.prepare_recording(a, a.cell.entry(label).observer.on_sample is not None)
+    playback = open_playback(log, study, [observer], delay=delay, start=start, overrides=overrides)
+    label = next(iter(playback.cell.options))
+    setup, run = recording.prepare_recording(playback, playback.cell.entry(label).observer.on_sample is not None)
     result = replay(log, study, [observer], delay=delay, start=start, overrides=overrides)
     estimates = cast(pd.DataFrame, result.estimates)
-    names = (f"{label}.{signal}" for signal, _ in estimated_of(a.cell.scenario))
+    names = (f"{label}.{signal}" for signal, _ in estimated_of(playback.cell.scenario))
     expected = estimates[[name for name in names if name in estimates]].to_numpy()
-    rows = max(_rows(a.cell, label, p.context), p.back)
-    run = run._replace(before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
-    return _build_export(title, a.cell, label, label, p, p.context, rows, run)
+    rows = max(_rows(playback.cell, label, setup.context), setup.back)
+    run = run._replace(before=np.zeros((rows, setup.m)), truth=run.truth[:, : expected.shape[1]], expected=expected)
+    return _build_export(title, playback.cell, label, label, setup, setup.context, rows, run)
 
 
 def _build_export(

@@ -11,24 +11,24 @@ from pcbench.playback.setup import Playback, PlaybackSetup, prepare_observers, r
 LONGEST = 300_000  # ticks, which become lines of C
 
 
-def prepare_recording(a: Playback, notifies: bool) -> tuple[PlaybackSetup, RecordedRun]:
+def prepare_recording(playback: Playback, notifies: bool) -> tuple[PlaybackSetup, RecordedRun]:
     """Return an observer prepared for a recording, and the recording as a run, without the expected estimates.
 
     Raises UserError if the recording is too long for a table in C.
     """
-    if a.last_tick >= LONGEST:
+    if playback.last_tick >= LONGEST:
         raise UserError(
-            f"{a.name}: got {a.last_tick + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
-            "observer; use a part of the recording that has its longest delays."
+            f"{playback.name}: got {playback.last_tick + 1:,} ticks, expected at most {LONGEST:,}, as each is a "
+            "line of the C that tests the observer; use a part of the recording that has its longest delays."
         )
-    if with_std := a.survey.with_std():
+    if with_std := playback.survey.with_std():
         raise UserError(
-            f"{a.name}: got the noise of each measurement of {', '.join(with_std)}, expected a recording without: the C has "
-            "one variance for each channel; leave std and variance out of the recording."
+            f"{playback.name}: got the noise of each measurement of {', '.join(with_std)}, expected a recording without: "
+            "the C has one variance for each channel; leave std and variance out of the recording."
         )
-    p = prepare_observers(a, room_of(a))
-    parts = [*stream.parts(a, p, [name for name, _ in estimated_of(a.cell.scenario)])]
-    inputs = np.concatenate([part.inputs[p.back :] for part in parts])[: a.last_tick + 1]
-    truth = np.concatenate([part.truth for part in parts])[: a.last_tick + 1]
+    setup = prepare_observers(playback, room_of(playback))
+    parts = [*stream.parts(playback, setup, [name for name, _ in estimated_of(playback.cell.scenario)])]
+    inputs = np.concatenate([part.inputs[setup.back :] for part in parts])[: playback.last_tick + 1]
+    truth = np.concatenate([part.truth for part in parts])[: playback.last_tick + 1]
     events = [event for part in parts for event in events_of(part.window, notifies, part.first)]
-    return p, RecordedRun(p.problem.xhat0, np.zeros((0, p.m)), inputs, events, truth, truth)
+    return setup, RecordedRun(setup.problem.xhat0, np.zeros((0, setup.m)), inputs, events, truth, truth)

@@ -61,35 +61,35 @@ class Profile:
 
     def __init__(
         self,
-        a: Playback,
+        playback: Playback,
         low: Ints,
         high: Ints,
         gains_of: Callable[[PlaybackSetup], tuple[AffineGains, Vector]],
         progress: Progress,
     ) -> None:
         """Prepare a recording for delays of `low` to `high` [q] ticks; `gains_of` returns an observer's gains and z."""
-        length = max(power_of_2(a.last_tick + 1), 2)
-        if a.last_tick >= likelihood.MAX_TICKS:
-            likelihood.load_recording(a)  # raises UserError for an unsuitable recording
-        self.a, self.low, self.high, self.progress = a._replace(length=length), low, high, progress
-        self.batches = list(a.log.measurements())
+        length = max(power_of_2(playback.last_tick + 1), 2)
+        if playback.last_tick >= likelihood.MAX_TICKS:
+            likelihood.load_recording(playback)  # raises UserError for an unsuitable recording
+        self.playback, self.low, self.high, self.progress = playback._replace(length=length), low, high, progress
+        self.batches = list(playback.log.measurements())
         self.lanes = max(min(LANES, MAX_LANE_TICKS // length), 1)
         no_delays = (0,) * len(low)
         log = self._log(no_delays)
-        longest = max(c.intervals.most if c.intervals.many else 0.0 for c in a.survey.channels.values())
-        gap = int(max(longest / a.clock.dt, high.max() - low.min())) + 2
-        p = prepare_observers(self.a._replace(log=log), Room(longest_gap=gap))
-        (part,) = stream.parts(self.a._replace(log=log), p, [])
-        self.gains, self.start = gains_of(p)
-        inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
-        self.p, self.problem = p, p.problem._replace(inputs=inputs, gains={})
+        longest = max(c.intervals.most if c.intervals.many else 0.0 for c in playback.survey.channels.values())
+        gap = int(max(longest / playback.clock.dt, high.max() - low.min())) + 2
+        setup = prepare_observers(self.playback._replace(log=log), Room(longest_gap=gap))
+        (part,) = stream.parts(self.playback._replace(log=log), setup, [])
+        self.gains, self.start = gains_of(setup)
+        inputs = setup.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - setup.back))
+        self.setup, self.problem = setup, setup.problem._replace(inputs=inputs, gains={})
         self.samples = int(part.window.mask.sum())
         self.cache: dict[Delays, Best] = {}
 
     def _log(self, delays: Delays) -> Log:
         """Return the samples that no delay moves out of the recording, each arriving when it was taken."""
-        dt, clock = self.a.clock.dt, self.a.clock
-        first, last = max(self.high.max(), 0), self.a.last_tick + min(self.low.min(), 0)
+        dt, clock = self.playback.clock.dt, self.playback.clock
+        first, last = max(self.high.max(), 0), self.playback.last_tick + min(self.low.min(), 0)
         shift = np.array(delays) * dt
 
         def measurements() -> Iterator[Batch]:
@@ -99,12 +99,12 @@ class Profile:
                 if exists.any():
                     yield b._replace(sampled=stamps, arrived=stamps).select(exists)
 
-        return self.a.log._replace(measurements=measurements)
+        return self.playback.log._replace(measurements=measurements)
 
     def _window(self, delays: Delays) -> Window:
-        a = self.a
-        (block,) = blocks(self._log(delays), a.survey, a.clock, a.length, a.last_tick)
-        return window(block, len(self.low), 1, 0, self.p.variances)[0]
+        recording = self.playback
+        (block,) = blocks(self._log(delays), recording.survey, recording.clock, recording.length, recording.last_tick)
+        return window(block, len(self.low), 1, 0, self.setup.variances)[0]
 
     @property
     def best(self) -> Delays:
@@ -130,7 +130,7 @@ class Profile:
         stack = jax.tree.map(lambda *a: np.stack(a), *windows)
 
         def evaluate(z: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-            g, p = self.gains, self.p
+            g, p = self.gains, self.setup
             out = jit_lanes()(p.layout, g.tree, g.real, g.start, g.slope, self.problem, z, stack)
             value, score, information, nis = map(np.array, out)
             return np.where(np.isfinite(value), value, -np.inf), score, information, nis

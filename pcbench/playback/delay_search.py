@@ -50,10 +50,10 @@ class ChannelDelay(NamedTuple):
     drops: list[float]  # log-likelihood below the maximum
 
 
-def search_range(a: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
+def search_range(playback: Playback, longest: float | None, where: str) -> tuple[Ints, Ints]:
     """Return the smallest and the largest delay of each channel [ticks]; no sample is taken after it arrived."""
-    channels, dt = a.survey.channels.values(), a.clock.dt
-    upper = SHARE * a.last_tick * dt
+    channels, dt = playback.survey.channels.values(), playback.clock.dt
+    upper = SHARE * playback.last_tick * dt
     if longest is None:
         longest = min(INTERVALS * max(c.intervals.median for c in channels if c.intervals.many), upper)
     if not dt <= longest <= upper:
@@ -78,7 +78,7 @@ class Slice(NamedTuple):
 
 def find(profile: Profile) -> tuple[list[ChannelDelay], list[str]]:
     """Return the delay of each channel, and sentences on what the recording does not determine."""
-    channels, dt = profile.a.survey.channels.values(), profile.a.clock.dt
+    channels, dt = profile.playback.survey.channels.values(), profile.playback.clock.dt
     steps = [max(int(c.intervals.median / dt) // 2, 1) if c.intervals.many else 1 for c in channels]
     directions = [*np.eye(len(steps), dtype=int)]
     directions += [np.ones(len(steps), int)] * (len(steps) > 1)  # moves all together
@@ -204,8 +204,8 @@ def _results(
     profile: Profile, best: Delays, slices: list[Slice], peak: Floats, widening: Floats
 ) -> tuple[list[ChannelDelay], list[str]]:
     """Return delays in seconds with their intervals, and sentences."""
-    dt, out, remarks, rounding = profile.a.clock.dt, [], [], _rounding(profile)
-    for c, (name, channel) in enumerate(profile.a.survey.channels.items()):
+    dt, out, remarks, rounding = profile.playback.clock.dt, [], [], _rounding(profile)
+    for c, (name, channel) in enumerate(profile.playback.survey.channels.items()):
         s, first, last = slices[c], int(profile.low[c]), int(profile.high[c])
         scale = widening[c] if np.isfinite(widening[c]) else 1.0
         low, high = (peak[c] + widening[c] * (end - s.peak) for end in (s.low, s.high))
@@ -263,15 +263,15 @@ def _remarks(delay: ChannelDelay, dt: float) -> list[str]:
 
 def _rounding(profile: Profile) -> Floats:
     """Return the mean of timestamp minus tick of each channel, less the same of the inputs, [q] s."""
-    a, q = profile.a, len(profile.low)
+    clock, log, q = profile.playback.clock, profile.playback.log, len(profile.low)
 
     def beyond(times: Floats) -> Floats:
-        return times - a.clock.start - a.clock.dt * a.clock.ticks(times)
+        return times - clock.start - clock.dt * clock.ticks(times)
 
     sums, many = np.zeros(q), np.zeros(q)
     for b in profile.batches:
         arrived = np.isfinite(b.arrived)
         sums += np.bincount(b.channel[arrived], beyond(b.sampled[arrived]), q)
         many += np.bincount(b.channel[arrived], minlength=q)
-    inputs = [beyond(rows.t) for rows in a.log.inputs.read()] if a.log.inputs else []
+    inputs = [beyond(rows.t) for rows in log.inputs.read()] if log.inputs else []
     return sums / np.maximum(many, 1) - (float(np.concatenate(inputs).mean()) if inputs else 0.0)

@@ -50,16 +50,17 @@ class SampleLikelihood(NamedTuple):
         return -0.5 * (self.stats[:, 1] * np.log(2 * np.pi) + self.stats[:, 2] + self.stats[:, 0])
 
 
-def load_recording(a: Playback) -> tuple[PlaybackSetup, stream.Part]:
+def load_recording(playback: Playback) -> tuple[PlaybackSetup, stream.Part]:
     """Return the observer of a recording and the recording in memory; raise UserError if it is too long or does not fit."""
-    if a.last_tick >= MAX_TICKS:
+    if playback.last_tick >= MAX_TICKS:
         raise UserError(
-            f"{a.log.name}: got {a.last_tick + 1} ticks, expected at most {MAX_TICKS}; cut the log, or use a longer tick."
+            f"{playback.log.name}: got {playback.last_tick + 1} ticks, expected at most {MAX_TICKS}; "
+            "cut the log, or use a longer tick."
         )
-    a = a._replace(length=max(power_of_2(a.last_tick + 1), 2))
-    p = prepare_observers(a, room_of(a))
-    (part,) = stream.parts(a, p, [])
-    return p, part
+    playback = playback._replace(length=max(power_of_2(playback.last_tick + 1), 2))
+    setup = prepare_observers(playback, room_of(playback))
+    (part,) = stream.parts(playback, setup, [])
+    return setup, part
 
 
 class AffineGains(NamedTuple):
@@ -100,10 +101,10 @@ def affine_gains(design: Callable[[Vector], PyTree], z: Vector) -> AffineGains |
 Evaluator = Callable[[Vector], SampleLikelihood]
 
 
-def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]) -> Evaluator:
+def evaluator(setup: PlaybackSetup, part: stream.Part, design: Callable[[Vector], PyTree]) -> Evaluator:
     """Return a function that computes the likelihood of each sample at given parameters; errors as of `design`."""
-    inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
-    problem = p.problem._replace(inputs=inputs, gains={})
+    inputs = setup.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - setup.back))
+    problem = setup.problem._replace(inputs=inputs, gains={})
     affine: list[AffineGains | None] = []
 
     def at(point: Vector) -> SampleLikelihood:
@@ -119,7 +120,7 @@ def evaluator(p: PlaybackSetup, part: stream.Part, design: Callable[[Vector], Py
             leaves = shift_leaves(real, start, slope, v)
             v = np.where(v == np.exp(point), v, 0.0)  # clipped intensities have derivative 0
             directions = [v.reshape(-1, *[1] * (s.ndim - 1)) * s for s in slope]
-        out = jit_likelihood()(p.layout, tree, real, leaves, directions, problem, part.window)
+        out = jit_likelihood()(setup.layout, tree, real, leaves, directions, problem, part.window)
         stats, scores = map(np.asarray, out)
         tested = stats[..., 1] > 0
         return SampleLikelihood(stats[tested], part.first + np.nonzero(tested)[0], scores[tested])
@@ -134,27 +135,27 @@ def _stats_and_scores(
     leaves: list[Array],
     directions: list[Array],
     p: GridPointParams,
-    w: Window,
+    window: Window,
 ) -> tuple[Array, Array]:
     """Return the statistics of each packet [K, S, 4 + 2 q] and its score [K, S, P]; `directions` [P, ...] by real leaf."""
 
     def log_likelihoods(v: Array) -> tuple[Array, Array]:
         gains = jax.tree.unflatten(tree, shift_leaves(real, leaves, directions, v))
-        stats = innovation_stats(layout, p, gains, w)
+        stats = innovation_stats(layout, p, gains, window)
         return -0.5 * (stats[..., 2] + stats[..., 0]), stats
 
     scores, stats = jax.jacfwd(log_likelihoods, has_aux=True)(jnp.zeros(directions[0].shape[0]))
     return stats, scores
 
 
-def innovation_stats(layout: Layout, p: GridPointParams, gains: PyTree, w: Window) -> Array:
+def innovation_stats(layout: Layout, p: GridPointParams, gains: PyTree, window: Window) -> Array:
     """Return the innovation statistics of each packet in a window, from tick 0 on, as in `step_block.TickOutputs`."""
     ((label, _),) = layout.observers
-    problem, ticks = p._replace(gains={label: gains}), jnp.arange(w.event.shape[0])
+    problem, ticks = p._replace(gains={label: gains}), jnp.arange(window.event.shape[0])
     run, _ = step_block.init_run(layout, problem, False, jnp.asarray(0))
-    run = run if w.variance_ratio is None else step_block.with_variances(run)
+    run = run if window.variance_ratio is None else step_block.with_variances(run)
     truth, ends = jnp.zeros((len(ticks), 0)), jnp.zeros(2, int)
-    return step_block.run_block(layout, problem, run, None, ticks, w, truth, ends)[2].innovation_stats
+    return step_block.run_block(layout, problem, run, None, ticks, window, truth, ends)[2].innovation_stats
 
 
 @cache

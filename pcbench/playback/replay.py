@@ -89,15 +89,16 @@ def replay(
         grid = all_observers.grid_of(plant, {"observers": names}, overrides or [])
 
         def replay_cell(folder: str | Path, cell: Cell | None) -> ReplayResult:
-            a = open_playback(log, plant, names, delay=delay, start=start, overrides=overrides, cell=cell)
-            a.remarks.extend(all_observers.sentences(grid.study.excluded if cell else None))
-            a.remarks.extend(describe_out_of_sequence(a.survey))
-            room = room_of(a)
+            playback = open_playback(log, plant, names, delay=delay, start=start, overrides=overrides, cell=cell)
+            playback.remarks.extend(all_observers.sentences(grid.study.excluded if cell else None))
+            playback.remarks.extend(describe_out_of_sequence(playback.survey))
+            room = room_of(playback)
             if parse.ALL in names:
-                a = _without_unsupported(a, room, names)
-            p = prepare_observers(a, room)
+                playback = _without_unsupported(playback, room, names)
+            setup = prepare_observers(playback, room)
             with replay_metrics.draft(Path(folder)) as draft:
-                return _results(a, p, _run(a, p, draft, seed, progress), draft, in_memory=out is None)
+                passage = _run(playback, setup, draft, seed, progress)
+                return _results(playback, setup, passage, draft, in_memory=out is None)
 
         axes = [name for name, values in grid.study.axes.items() if len(values) > 1]
         if len(grid.cells) == 1 or len(grid.study.scenarios) > 1:
@@ -129,20 +130,22 @@ def _likelihoods(axes: list[str], results: list[tuple[TomlTable, ReplayResult]],
     return ReplayResult(innovations, empty, empty, None, json_values(summary), channels)
 
 
-def _without_unsupported(a: Playback, room: Room, names: list[str]) -> Playback:
+def _without_unsupported(playback: Playback, room: Room, names: list[str]) -> Playback:
     """Return the playback without observers of "all" that the recording does not support, each with a sentence."""
     excluded = {}
-    for label, observer_options in a.cell.options.items():
+    cell = playback.cell
+    for label, observer_options in cell.options.items():
         try:
             if label not in map(label_of, names):
-                prepare_observers(a._replace(cell=a.cell._replace(options={label: observer_options})), room)
+                prepare_observers(playback._replace(cell=cell._replace(options={label: observer_options})), room)
         except UserError as error:
             excluded[label] = str(error)
-    options = {label: o for label, o in a.cell.options.items() if label not in excluded}
+    options = {label: o for label, o in cell.options.items() if label not in excluded}
     if not options:
-        raise UserError(f"{a.log.name}: no observer can run; the first is refused: {next(iter(excluded.values()))}")
-    a.remarks.extend(all_observers.sentences(excluded))
-    return a._replace(cell=a.cell._replace(options=options))
+        first = next(iter(excluded.values()))
+        raise UserError(f"{playback.log.name}: no observer can run; the first is refused: {first}")
+    playback.remarks.extend(all_observers.sentences(excluded))
+    return playback._replace(cell=cell._replace(options=options))
 
 
 def describe_out_of_sequence(survey: Survey) -> list[str]:
@@ -155,56 +158,60 @@ def describe_out_of_sequence(survey: Survey) -> list[str]:
     ]
 
 
-def _run(a: Playback, p: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress) -> Passage:
+def _run(
+    playback: Playback, setup: PlaybackSetup, draft: replay_metrics.Draft, seed: int, progress: Progress
+) -> Passage:
     """Run all parts of a recording, and write estimates."""
-    signals, q = estimated_of(a.cell.scenario), len(a.log.channels)
-    score_signals, truth_signals = ([name for name, _ in signals], a.log.truth.names) if a.log.truth else ([], ())
-    runners = stream.init_runners(p, bool(score_signals), seed)
-    held_out_start = innovation_tests.held_out_start(a.last_tick)
-    innovations = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in p.layout.observers if o.innovation}
+    log, clock, n_total = playback.log, playback.clock, playback.last_tick + 1
+    signals, q = estimated_of(playback.cell.scenario), len(log.channels)
+    score_signals, truth_signals = ([name for name, _ in signals], log.truth.names) if log.truth else ([], ())
+    runners = stream.init_runners(setup, bool(score_signals), seed)
+    held_out_start = innovation_tests.held_out_start(playback.last_tick)
+    innovations = {label: InnovationSums(Sums(), [Sums()] * q) for label, o in setup.layout.observers if o.innovation}
     arrived = np.zeros(q, int)
-    model = smoother.model_of(p.context, p.problem.xhat0)
-    has_memory = model is not None and smoother.fits(model, a.last_tick + 1)
-    y, u = (np.full((a.last_tick + 1 if has_memory else 0, k), np.nan) for k in (q, p.m))
-    variance_ratio = np.ones(y.shape if p.variances is not None else q)  # of each sample's variance, for the smoother
+    model = smoother.model_of(setup.context, setup.problem.xhat0)
+    has_memory = model is not None and smoother.fits(model, n_total)
+    y, u = (np.full((n_total if has_memory else 0, k), np.nan) for k in (q, setup.m))
+    variance_ratio = np.ones(q if setup.variances is None else y.shape)  # of each sample's variance, for the smoother
     largest, largest_y = np.zeros(len(score_signals)), np.zeros(q)  # largest truth by signal, and largest measurement
-    progress.begin("ticks", a.last_tick + 1)
-    ends = np.array([a.cell.times.tail, a.last_tick])
-    for part, outputs in stream.through(runners, stream.parts(a, p, score_signals), p.back, ends):
-        w, ticks = part.window, part.first + np.arange(a.length)
-        n_ticks = min(a.length, a.last_tick + 1 - part.first)
+    progress.begin("ticks", n_total)
+    ends = np.array([playback.cell.times.tail, playback.last_tick])
+    for part, outputs in stream.through(runners, stream.parts(playback, setup, score_signals), setup.back, ends):
+        window, ticks = part.window, part.first + np.arange(playback.length)
+        n_ticks = min(playback.length, n_total - part.first)
         estimates, sigmas = (
             {label: np.asarray(getattr(o, field))[:n_ticks] for label, o in outputs.items()}
             for field in ("estimate", "sigma")
         )
         true = {pair: x for pair, x in zip(signals, part.truth[:n_ticks].T, strict=False) if pair[0] in truth_signals}
         delays = {label: np.asarray(o.delay)[:n_ticks, 0] for label, o in outputs.items() if o.delay.shape[1]}
-        draft.write(replay_metrics.estimates_table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, a.clock))
+        draft.write(replay_metrics.estimates_table(ticks[:n_ticks], estimates, sigmas, true, delays, signals, clock))
         progress.step(n_ticks)
         stats = {label: np.asarray(outputs[label].innovation_stats) for label in innovations}
         by_channel = {label: numbers[..., step_block.N_STATS :] for label, numbers in stats.items()}
-        table = replay_metrics.innovation_table(w, part.first, by_channel, a.log.channels, a.clock)
+        table = replay_metrics.innovation_table(window, part.first, by_channel, log.channels, clock)
         draft.write(table, replay_metrics.INNOVATIONS)
         for label, numbers in stats.items():
             rows = numbers[..., : step_block.N_STATS + q].reshape(-1, step_block.N_STATS + q)
-            innovations[label] = innovations[label].add(rows, np.repeat(ticks >= held_out_start, p.slots))
+            innovations[label] = innovations[label].add(rows, np.repeat(ticks >= held_out_start, setup.slots))
         truth = np.abs(part.truth[:n_ticks])
         largest = np.fmax(largest, truth.max(0, initial=0.0, where=~np.isnan(truth)))
-        largest_y = np.maximum(largest_y, np.where(w.mask, np.abs(w.value), 0.0).max((0, 1), initial=0.0))
-        arrived += w.mask.sum((0, 1))
+        largest_y = np.maximum(largest_y, np.where(window.mask, np.abs(window.value), 0.0).max((0, 1), initial=0.0))
+        arrived += window.mask.sum((0, 1))
         if has_memory:
-            u[part.first : part.first + n_ticks] = part.inputs[p.back :][:n_ticks]
-            k, slot, channel = np.nonzero(w.mask)
-            y[w.sampling_ticks[k, slot], channel] = w.value[k, slot, channel]
-            if w.variance_ratio is not None:
-                variance_ratio[w.sampling_ticks[k, slot], channel] = w.variance_ratio[k, slot, channel]
+            u[part.first : part.first + n_ticks] = part.inputs[setup.back :][:n_ticks]
+            k, slot, channel = np.nonzero(window.mask)
+            y[window.sampling_ticks[k, slot], channel] = window.value[k, slot, channel]
+            if window.variance_ratio is not None:
+                variance_ratio[window.sampling_ticks[k, slot], channel] = window.variance_ratio[k, slot, channel]
     scores = {o.label: o.score for o in sorted(runners, key=lambda o: o.label) if o.score is not None}
-    band, noise = np.asarray(p.problem.band)[: len(score_signals)], np.sqrt(np.asarray(p.context.noise_variance))
-    a.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, [(largest, band), (largest_y, noise)]))
+    band = np.asarray(setup.problem.band)[: len(score_signals)]
+    sizes = [(largest, band), (largest_y, np.sqrt(np.asarray(setup.context.noise_variance)))]
+    playback.remarks.extend(replay_metrics.rounding_warnings(scores, largest, signals, sizes))
     smoothed_states = None
     if model is not None and has_memory:
         smoothed_states = np.asarray(smoother.jit_smoother()(model._replace(R=model.R * variance_ratio), u, y))
-        draft.write(replay_metrics.smoothed_table(smoothed_states, signals, a.clock), replay_metrics.SMOOTHED)
+        draft.write(replay_metrics.smoothed_table(smoothed_states, signals, clock), replay_metrics.SMOOTHED)
     draft.close()
     return Passage(innovations, arrived, scores, smoothed_states, _delays(runners, ticks[-1] + 1))
 
@@ -219,59 +226,61 @@ def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
     return out
 
 
-def _outputs(a: Playback) -> list[dict[str, str]]:
+def _outputs(playback: Playback) -> list[dict[str, str]]:
     """Return the name and unit of each channel, and the state that it measures directly; empty: none."""
-    scenario, rows = a.cell.scenario, []
+    scenario, rows = playback.cell.scenario, []
     states = {output: state for state, output in outputs_of_states(scenario).items()}
-    for i, (name, unit) in enumerate(zip(a.log.channels, a.log.units or output_units(scenario), strict=True)):
+    for i, (name, unit) in enumerate(
+        zip(playback.log.channels, playback.log.units or output_units(scenario), strict=True)
+    ):
         rows.append({"channel": name, "unit": unit, "state": states.get(i, "")})
     return rows
 
 
 def _results(
-    a: Playback, p: PlaybackSetup, passage: Passage, draft: replay_metrics.Draft, in_memory: bool
+    playback: Playback, setup: PlaybackSetup, passage: Passage, draft: replay_metrics.Draft, in_memory: bool
 ) -> ReplayResult:
     """Return the tables of a replay."""
-    signals, dt = signals_of(a.cell.scenario), a.clock.dt
+    signals, dt = signals_of(playback.cell.scenario), playback.clock.dt
     innovations = pd.DataFrame(
         [{"observer": label, **innovation_tests.results_of(sums.total)} for label, sums in passage.innovations.items()]
     )
-    channels = innovation_tests.by_channel(passage.innovations, a.log.channels, passage.n_arrived)
-    a.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
+    channels = innovation_tests.by_channel(passage.innovations, playback.log.channels, passage.n_arrived)
+    playback.remarks.extend(innovation_tests.describe_skipped(channels) + innovation_tests.describe_biased(channels))
     for label, (mean, std) in passage.delays.items():
-        a.remarks.append(
-            f"{label}: estimated delay of {a.log.channels[0]} {mean:.4g} s, standard deviation {std:.2g} s."
+        playback.remarks.append(
+            f"{label}: estimated delay of {playback.log.channels[0]} {mean:.4g} s, standard deviation {std:.2g} s."
         )
     distances = replay_metrics.distances(
-        draft.estimates, passage.smoothed_states, list(a.cell.options), signals, steady=a.cell.times.tail
+        draft.estimates, passage.smoothed_states, list(playback.cell.options), signals, steady=playback.cell.times.tail
     )
     if passage.smoothed_states is None:
-        a.remarks.append(
+        playback.remarks.append(
             "distances to a smoother are left out: it needs a linear model without unknown inputs, and memory for all ticks."
         )
-    metrics = replay_metrics.metrics_table(passage.scores, signals, dt, a.cell.times.tail)
-    times = a.survey.grid + (a.survey.start - a.clock.start)
+    metrics = replay_metrics.metrics_table(passage.scores, signals, dt, playback.cell.times.tail)
+    times = playback.survey.grid + (playback.survey.start - playback.clock.start)
     error = rounding(times, dt)
-    shorter_dt = better_dt(times, dt, min(c.intervals.median for c in a.survey.channels.values()))
+    shorter_dt = better_dt(times, dt, min(c.intervals.median for c in playback.survey.channels.values()))
     if shorter_dt is not None:
-        a.remarks.append(
+        playback.remarks.append(
             f"times are rounded by up to {error:.3g} s, because a tick is {dt:g} s; with a tick of {shorter_dt:g} s the error "
             "is much smaller."
         )
     summary = {
-        "log": a.name,
-        "plant": a.cell.scenario.name,
-        "rows": a.survey.rows,
-        "start": a.clock.start,
-        "ticks": a.last_tick,
+        "log": playback.name,
+        "plant": playback.cell.scenario.name,
+        "rows": playback.survey.rows,
+        "start": playback.clock.start,
+        "ticks": playback.last_tick,
         "dt": dt,
-        "steady_start": a.cell.times.tail * dt,
-        "held_out_from": innovation_tests.held_out_start(a.last_tick) * dt,
-        "outputs": _outputs(a),
+        "steady_start": playback.cell.times.tail * dt,
+        "held_out_from": innovation_tests.held_out_start(playback.last_tick) * dt,
+        "outputs": _outputs(playback),
         "largest_rounding": error,
         "better_dt": shorter_dt,
-        "certificates": {label: c.status for label, c in p.certificates.items()},
-        "notes": a.remarks,
+        "certificates": {label: c.status for label, c in setup.certificates.items()},
+        "notes": playback.remarks,
         "innovations": innovations.to_dict("records"),
         "channels": channels,
         "delays": [{"observer": o, "estimate": mean, "std": std} for o, (mean, std) in passage.delays.items()],

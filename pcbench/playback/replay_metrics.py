@@ -75,18 +75,18 @@ def smoothed_table(smoothed_states: Floats, signals: Signals, clock: Clock) -> p
 
 
 def innovation_table(
-    w: Window, first: int, innovations: dict[str, Floats], channels: tuple[str, ...], clock: Clock
+    window: Window, first: int, innovations: dict[str, Floats], channels: tuple[str, ...], clock: Clock
 ) -> pa.Table:
     """Return the measurements that arrive in a window, which begins at tick `first`, as a table, in the order of arrival.
 
     It has one row per measurement with its channel, times and value, and of each observer in `innovations` [K, S, 2 q] the
     innovation and its standard deviation. They are NaN if the observer does not report them.
     """
-    k, slot, channel = np.nonzero(w.mask)
+    k, slot, channel = np.nonzero(window.mask)
     fields: list[tuple[str, str, str, Any]] = [
-        ("sampled", "s", "time since the start of the log", w.sampling_ticks[k, slot] * clock.dt),
+        ("sampled", "s", "time since the start of the log", window.sampling_ticks[k, slot] * clock.dt),
         ("arrived", "s", "time since the start of the log", (first + k) * clock.dt),
-        ("value", "", "measured value", w.value[k, slot, channel]),
+        ("value", "", "measured value", window.value[k, slot, channel]),
     ]
     for observer, stats in innovations.items():
         sigma = stats[k, slot, len(channels) + channel]

@@ -128,25 +128,28 @@ def open_playback(
     return Playback(name, recording, stats, cell, clock, last_tick=last_tick, remarks=remarks, length=length)
 
 
-def room_of(a: Playback) -> Room:
+def room_of(playback: Playback) -> Room:
     """Return the room that a recording needs, from one pass over it."""
-    latest = int(np.ceil(max((c.delays.most for c in a.survey.channels.values()), default=0.0) / a.clock.dt)) + 1
+    latest = (
+        int(np.ceil(max((c.delays.most for c in playback.survey.channels.values()), default=0.0) / playback.clock.dt))
+        + 1
+    )
     room = Room()
-    for block in blocks(a.log, a.survey, a.clock, a.length, a.last_tick):
+    for block in blocks(playback.log, playback.survey, playback.clock, playback.length, playback.last_tick):
         room = with_block(room, block, max(latest, 0))
     return room
 
 
-def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
+def prepare_observers(playback: Playback, room: Room) -> PlaybackSetup:
     """Return the designed observers for a recording; raise UserError if it does not fit the plant or the duration."""
-    s, cell, where = a.cell.scenario, a.cell, f"{a.log.name} on {a.cell.scenario.name}"
-    _require_fit(a, room, where)
+    s, cell, where = playback.cell.scenario, playback.cell, f"{playback.log.name} on {playback.cell.scenario.name}"
+    _require_fit(playback, room, where)
     context = planning.context_of(cell)
     m, signals = context.model.B.shape[1], len(estimated_of(s))
-    if a.log.inputs is not None and len(a.log.inputs.names) != m:
+    if playback.log.inputs is not None and len(playback.log.inputs.names) != m:
         raise UserError(
-            f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
-            f"{m} inputs, in their order; correct the table."
+            f"{playback.log.name}: inputs: got the columns {', '.join(playback.log.inputs.names)}, expected one "
+            f"for each of the plant's {m} inputs, in their order; correct the table."
         )
     context = context._replace(
         random_schedule=False,  # a recording has one
@@ -156,9 +159,9 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
         reach=max(context.reach, *(-(-room.latest // max(period, 1)) for period in context.period)),
     )
     designs = {o: planning.run_design(o, cell.entry(o), context, options) for o, options in cell.options.items()}
-    if with_std := a.survey.with_std():
+    if with_std := playback.survey.with_std():
         _require_noise_per_sample(cell, designs, with_std, where)
-    back = min(a.last_tick + 1, power_of_2(room.latest + (2 * room.oosm_lag + 2) * max(room.longest_gap, 1)))
+    back = min(playback.last_tick + 1, power_of_2(room.latest + (2 * room.oosm_lag + 2) * max(room.longest_gap, 1)))
     starts_at_truth = cell.choices.random_initial_state and s.belief.initial_box
     problem = GridPointParams(
         params=np.zeros(len(s.sampling.delay)),
@@ -196,9 +199,9 @@ def prepare_observers(a: Playback, room: Room) -> PlaybackSetup:
     )
 
 
-def _require_fit(a: Playback, room: Room, where: str) -> None:
+def _require_fit(playback: Playback, room: Room, where: str) -> None:
     """Raise UserError for a scenario or an observer that is not for recordings, or for gaps longer than the duration."""
-    s, cell = a.cell.scenario, a.cell
+    s, cell = playback.cell.scenario, playback.cell
     if s.sampling.continuous:
         raise UserError(
             f"{where}: got a scenario that measures continuously, expected one that samples; use another plant file."

@@ -78,21 +78,21 @@ def run_block(
     start: Run,
     score: Score | None,
     ticks: Array,
-    w: Window,
+    window: Window,
     truth: Array,
     ends: Array,
 ) -> tuple[Run, Score | None, TickOutputs]:
     """Run the observer over `ticks` [K]; `ends` are the first tick of the tail, and the last tick, which is not scored."""
     ((label, o),) = layout.observers
-    no_stats = jnp.zeros((w.arrive.shape[1], N_STATS + 2 * len(p.params) if o.innovation else 0))
+    no_stats = jnp.zeros((window.arrive.shape[1], N_STATS + 2 * len(p.params) if o.innovation else 0))
 
     def step(
         carry: tuple[Run, Score | None], row: tuple[Array, Window, Array]
     ) -> tuple[tuple[Run, Score | None], TickOutputs]:
-        (run, score), (k, w, x) = carry, row
+        (run, score), (k, window, x) = carry, row
         run = run._replace(x=x) if x.shape[0] else run
-        apply = partial(apply_events, layout, p, w, k, no_stats)
-        run, stats = lax.cond(w.event, apply, lambda run: (run, no_stats), run)
+        apply = partial(apply_events, layout, p, window, k, no_stats)
+        run, stats = lax.cond(window.event, apply, lambda run: (run, no_stats), run)
         memory = run.memories[label]
         delay = o.delay(p.gains[label], memory, present(p, k, False))[:1] if o.delay else jnp.zeros(0)
         sigma = trajectory.sigma(layout, p, k, run).get(label, jnp.zeros(0))
@@ -102,16 +102,16 @@ def run_block(
             score = _update_score(p, score, k, ~jnp.isnan(x[: len(e)]), e, ends)
         return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), outputs
 
-    (run, score), block_outputs = lax.scan(step, (start, score), (ticks, w, truth))
+    (run, score), block_outputs = lax.scan(step, (start, score), (ticks, window, truth))
     return run, score, block_outputs
 
 
 def apply_events(
-    layout: Layout, p: GridPointParams, w: Window, k: Array, no_stats: Array, run: Run
+    layout: Layout, p: GridPointParams, window: Window, k: Array, no_stats: Array, run: Run
 ) -> tuple[Run, Array]:
     """Apply the events of tick k: snapshots of samples, then arrivals, the oldest packet first."""
     ((label, o),) = layout.observers
-    place, has_sample, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
+    place, has_sample, sampled = window.sense % layout.ring, jnp.asarray(window.sense >= 0), jnp.asarray(window.sampled)
     snapshots = simulate_runs.take_snapshots(layout, p, k, run.memories, run.commands)
     stored = jax.tree.map(
         lambda ring, new: ring.at[place].set(jnp.where(has_sample, new, ring[place])), run.flight.snapshots, snapshots
@@ -122,29 +122,32 @@ def apply_events(
     def deliver(slot: Array, carry: tuple[Run, Array]) -> tuple[Run, Array]:
         def jump(carry: tuple[Run, Array]) -> tuple[Run, Array]:
             run, packet_stats = carry
-            packet = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.snapshots)
-            age, since = jnp.full(w.mask[slot].shape, k - w.sampling_ticks[slot]), w.ticks_since_arrival[slot]
-            ratio = None if w.variance_ratio is None else w.variance_ratio[slot]
+            packet = jax.tree.map(lambda ring: ring[window.arrive[slot] % layout.ring], run.flight.snapshots)
+            age, since = (
+                jnp.full(window.mask[slot].shape, k - window.sampling_ticks[slot]),
+                window.ticks_since_arrival[slot],
+            )
+            ratio = None if window.variance_ratio is None else window.variance_ratio[slot]
             arrival = partial(
                 Arrival,
-                w.value[slot],
-                w.mask[slot],
+                window.value[slot],
+                window.mask[slot],
                 age,
-                w.number[slot],
+                window.number[slot],
                 ticks_since_arrival=since,
                 variance_ratio=ratio,
             )
             if o.innovation:  # NaN: a skipped sample
                 stats = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(packet[label]))
-                unknown = jnp.full(w.mask[slot].shape, jnp.nan)
+                unknown = jnp.full(window.mask[slot].shape, jnp.nan)
                 by_channel = [unknown if numbers is None else numbers for numbers in (stats.each, stats.sigma)]
                 total = [jnp.asarray(jnp.nan if number is None else number) for number in stats[:N_STATS]]
                 packet_stats = packet_stats.at[slot].set(jnp.concatenate([jnp.stack(total), *by_channel]))
             return run._replace(memories=simulate_runs.jump(layout, p, k, run, packet, arrival)), packet_stats
 
-        return lax.cond(w.arrive[slot] >= 0, jump, lambda carry: carry, carry)
+        return lax.cond(window.arrive[slot] >= 0, jump, lambda carry: carry, carry)
 
-    result: tuple[Run, Array] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, no_stats))
+    result: tuple[Run, Array] = lax.fori_loop(0, window.arrive.shape[0], deliver, (run, no_stats))
     return result
 
 

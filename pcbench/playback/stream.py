@@ -36,25 +36,27 @@ class Part(NamedTuple):
     truth: Floats  # [K, n + s] NaN: unknown; [K, 0]: no truth
 
 
-def parts(a: Playback, p: PlaybackSetup, signals: Sequence[str]) -> Iterator[Part]:
+def parts(playback: Playback, setup: PlaybackSetup, signals: Sequence[str]) -> Iterator[Part]:
     """Yield a recording in parts of fixed length, with `back` ticks of inputs before each, and the truth of `signals`."""
-    inputs = at_ticks(a, a.log.inputs, "inputs", a.log.inputs.names if a.log.inputs else [""] * p.m)
-    truth = at_ticks(a, a.log.truth, "truth", signals)
-    before, arrived = np.zeros((p.back, p.m)), 0
-    for block in blocks(a.log, a.survey, a.clock, a.length, a.last_tick):
-        w, arrived = window(block, len(a.log.channels), p.slots, arrived, p.variances)
+    inputs = at_ticks(
+        playback, playback.log.inputs, "inputs", playback.log.inputs.names if playback.log.inputs else [""] * setup.m
+    )
+    truth = at_ticks(playback, playback.log.truth, "truth", signals)
+    before, arrived = np.zeros((setup.back, setup.m)), 0
+    for block in blocks(playback.log, playback.survey, playback.clock, playback.length, playback.last_tick):
+        samples, arrived = window(block, len(playback.log.channels), setup.slots, arrived, setup.variances)
         rows = next(inputs)
-        exists = ~np.isnan(rows).all(1) if p.m else np.zeros(a.length, bool)
-        newest = np.maximum.accumulate(np.where(exists, np.arange(a.length), -1))
+        exists = ~np.isnan(rows).all(1) if setup.m else np.zeros(playback.length, bool)
+        newest = np.maximum.accumulate(np.where(exists, np.arange(playback.length), -1))
         held_inputs = np.where((newest >= 0)[:, None], rows[np.maximum(newest, 0)], before[-1])
         part_inputs = np.concatenate([before, held_inputs])
-        yield Part(block.first, w, part_inputs, next(truth))
-        before = part_inputs[len(part_inputs) - p.back :]
+        yield Part(block.first, samples, part_inputs, next(truth))
+        before = part_inputs[len(part_inputs) - setup.back :]
 
 
-def at_ticks(a: Playback, table: Table | None, kind: str, names: Sequence[str]) -> Iterator[Floats]:
+def at_ticks(playback: Playback, table: Table | None, kind: str, names: Sequence[str]) -> Iterator[Floats]:
     """Yield columns of a table as [length, columns] for every block of ticks, NaN without a row."""
-    where = f"{a.log.name}: {kind}"
+    where = f"{playback.log.name}: {kind}"
     missing = [name for name in names if table and name not in table.names]
     if table and missing and (kind == "inputs" or len(missing) == len(names)):
         raise UserError(
@@ -71,11 +73,11 @@ def at_ticks(a: Playback, table: Table | None, kind: str, names: Sequence[str]) 
                 continue
             require_forward(where, before, rows)
             before = float(rows.t[-1])
-            tick = a.clock.ticks(rows.t)
+            tick = playback.clock.ticks(rows.t)
             yield pd.DataFrame(rows.values, tick, list(table.names)).reindex(columns=list(names))[tick >= 0]
 
-    for first, rows in cut(rows_in_ticks(), a.length, a.last_tick):
-        out = np.full((a.length, len(names)), np.nan)
+    for first, rows in cut(rows_in_ticks(), playback.length, playback.last_tick):
+        out = np.full((playback.length, len(names)), np.nan)
         rows = rows.groupby(level=0).last()  # the last value of each column at a tick
         out[rows.index - first] = rows
         yield out
@@ -91,14 +93,14 @@ class Runner(NamedTuple):
     score: Score | None
 
 
-def init_runners(p: PlaybackSetup, with_score: bool, seed: int) -> list[Runner]:
+def init_runners(setup: PlaybackSetup, with_score: bool, seed: int) -> list[Runner]:
     """Return every observer before tick 0."""
     out = []
-    for label, observer in p.layout.observers:
-        layout = p.layout._replace(observers=((label, observer),), consistency=True)
-        problem = p.problem._replace(gains={label: p.problem.gains[label]})
+    for label, observer in setup.layout.observers:
+        layout = setup.layout._replace(observers=((label, observer),), consistency=True)
+        problem = setup.problem._replace(gains={label: setup.problem.gains[label]})
         state, score = step_block.jit_step_block()[0](layout, problem, with_score, np.asarray(seed))
-        state = state if p.variances is None else step_block.with_variances(state)
+        state = state if setup.variances is None else step_block.with_variances(state)
         out.append(Runner(label, layout, problem, state, score))
     return out
 

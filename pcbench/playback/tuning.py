@@ -102,19 +102,19 @@ def tune_log(
     label = label_of(observer)
     with config.float64(), ending.temporary_folder() as spare:
         study, _ = parse.one_cell(plant, [observer], overrides or [])
-        a = open_playback(log, plant, [observer], delay=delay, start=start, overrides=overrides)
-        where = f"tune {label} on {a.name}"
-        _require(a.cell.entry(label), budget, where)
+        playback = open_playback(log, plant, [observer], delay=delay, start=start, overrides=overrides)
+        where = f"tune {label} on {playback.name}"
+        _require(playback.cell.entry(label), budget, where)
         delays: list[ChannelDelay] = []
         if find_delay:
-            delays, delay_remarks = _find_delays(a, only, max_delay, where, progress)
+            delays, delay_remarks = _find_delays(playback, only, max_delay, where, progress)
             offsets = -np.array([d.estimate for d in delays])
-            a = open_playback(
+            playback = open_playback(
                 log, plant, [observer], delay=delay, start=start, overrides=overrides, clock_offsets=offsets
             )
-            a.remarks.extend(delay_remarks)
+            playback.remarks.extend(delay_remarks)
         target = storage.target(str(out) if out is not None else spare)
-        tuned = _fit(study, a, label, only, budget, target, where, progress)
+        tuned = _fit(study, playback, label, only, budget, target, where, progress)
         if delays and out is not None:
             stamp_offsets = {d.channel: -d.estimate for d in delays}
             storage.write_file(
@@ -125,7 +125,7 @@ def tune_log(
 
 def _fit(
     study: Study,
-    a: Playback,
+    playback: Playback,
     label: str,
     only: list[str] | None,
     budget: int,
@@ -134,27 +134,27 @@ def _fit(
     progress: Progress,
 ) -> LogTuning:
     """Return the result of both fits, and write it with their histories to `target`."""
-    p, part = likelihood.load_recording(a)
-    free, at_start = _free_intensities(label, a.cell, p.context, only, where)
+    setup, part = likelihood.load_recording(playback)
+    free, at_start = _free_intensities(label, playback.cell, setup.context, only, where)
     if any(f.kind == "covariance" for f in free):
         raise UserError(
             f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
         )
-    held_out_start, arrivals = innovation_tests.held_out_start(a.last_tick), part.window.mask.sum((1, 2))
+    held_out_start, arrivals = innovation_tests.held_out_start(playback.last_tick), part.window.mask.sum((1, 2))
     _require_samples(part.first + np.arange(len(arrivals)), arrivals, held_out_start, len(at_start), where)
-    entries, basis = parameters.entries(free), basis_of(study, a.cell)
-    description = f"{where}: {', '.join(entries)} of {_digest_of(part)}, for {digest(study, [a.cell])[:12]}"
+    entries, basis = parameters.entries(free), basis_of(study, playback.cell)
+    description = f"{where}: {', '.join(entries)} of {_digest_of(part)}, for {digest(study, [playback.cell])[:12]}"
     trials = History(target, description, entries, basis)
     progress.begin("points", budget)
     progress.note("compiling")
-    evaluate = likelihood.evaluator(p, part, tune.gains_at(label, a.cell, p.context, free))
+    evaluate = likelihood.evaluator(setup, part, tune.gains_at(label, playback.cell, setup.context, free))
     before = evaluate(at_start)
     # an observer may skip some
     _require_samples(before.tick, before.stats[:, 1], held_out_start, len(at_start), where)
-    _require_start(evaluate, at_start, before, a.cell.entry(label), where)
+    _require_start(evaluate, at_start, before, playback.cell.entry(label), where)
     n_numbers = float(before.stats[:, 1].sum())
     if n_skipped := int(arrivals.sum() - n_numbers):
-        a.remarks.append(
+        playback.remarks.append(
             f"{label} reports no innovation for {n_skipped:,} of {int(arrivals.sum()):,} measured numbers, so they are not "
             "in its likelihood."
         )
@@ -170,7 +170,7 @@ def _fit(
     after = evaluate(first_fit := fit(trials, at_start, held_out_start))
     refit = History(target, f"{description}, fitted to the whole log", entries, basis, REFIT)
     progress.begin("points", budget)
-    best = fit(refit, first_fit, a.last_tick + 1)
+    best = fit(refit, first_fit, playback.last_tick + 1)
     is_held_out, is_converged = before.tick >= held_out_start, not any(refit.best.slope)
     gain, se = _held_out_gain(before, after, is_held_out)
     reason = (
@@ -193,8 +193,8 @@ def _fit(
         gain_se=se,
         points=[*trials.points, *refit.points],
         notes=[
-            *a.remarks,
-            *_factors(a, p, best_options),
+            *playback.remarks,
+            *_factors(playback, setup, best_options),
             *_remarks(is_converged, intensities, held_out["tuned"]["ljung_box_p"]),
         ],
         log_likelihood=total(at_start if reason else best)[0] / n_numbers,
@@ -220,27 +220,27 @@ def _held_out_gain(before: SampleLikelihood, after: SampleLikelihood, is_held_ou
 
 
 def _find_delays(
-    a: Playback, only: list[str] | None, longest: float | None, where: str, progress: Progress
+    playback: Playback, only: list[str] | None, longest: float | None, where: str, progress: Progress
 ) -> tuple[list[ChannelDelay], list[str]]:
     """Return the delay of each channel, estimated with its most likely noise."""
-    (label,) = a.cell.options
-    if not a.cell.entry(label).knows_schedule:
+    (label,) = playback.cell.options
+    if not playback.cell.entry(label).knows_schedule:
         raise UserError(
             f"{where}: --find-delay: got an observer that does not use the time at which a sample was taken, expected one that "
             "does; use kf, ekf or ukf."
         )
 
-    def gains_of(p: PlaybackSetup) -> tuple[likelihood.AffineGains, Vector]:
-        free, z = _free_intensities(label, a.cell, p.context, only, where)
-        if (gains := likelihood.affine_gains(tune.gains_at(label, a.cell, p.context, free), z)) is None:
+    def gains_of(setup: PlaybackSetup) -> tuple[likelihood.AffineGains, Vector]:
+        free, z = _free_intensities(label, playback.cell, setup.context, only, where)
+        if (gains := likelihood.affine_gains(tune.gains_at(label, playback.cell, setup.context, free), z)) is None:
             raise UserError(
                 f"{where}: --find-delay: got an observer whose gains are not affine in the free parameters, expected the noise "
                 "intensities R, q and Q of a Kalman filter; choose them with --only, or use kf."
             )
         return gains, z
 
-    low, high = delay_search.search_range(a, longest, where)
-    return delay_search.find(delay_profile.Profile(a, low, high, gains_of, progress))
+    low, high = delay_search.search_range(playback, longest, where)
+    return delay_search.find(delay_profile.Profile(playback, low, high, gains_of, progress))
 
 
 def _results_of(stats: Floats) -> dict[str, float | str]:
@@ -343,12 +343,12 @@ def _intensities(
     return [Intensity(name, *map(float, row)) for name, *row in zip(names, *rows, strict=True)]
 
 
-def _factors(a: Playback, p: PlaybackSetup, options: dict[str, Any]) -> list[str]:
+def _factors(playback: Playback, setup: PlaybackSetup, options: dict[str, Any]) -> list[str]:
     """Return the factor by which a tuned R scales the stated standard deviations of each channel, as a sentence."""
-    if p.variances is None or "R" not in options:
+    if setup.variances is None or "R" not in options:
         return []
-    factors = zip(a.log.channels, np.sqrt(options["R"] / p.variances), strict=True)
-    described = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in a.survey.with_std())
+    factors = zip(playback.log.channels, np.sqrt(options["R"] / setup.variances), strict=True)
+    described = ", ".join(f"{name} {factor:.4g}" for name, factor in factors if name in playback.survey.with_std())
     return [
         f"the stated standard deviations are most likely if multiplied by (root of R over noise_std^2): {described}."
     ]

@@ -47,7 +47,8 @@ class Quadratic:
         each = {f"y{i + 1}": SimpleNamespace(intervals=interval, delays=delays) for i in range(len(peak))}
         log = SimpleNamespace(inputs=None)
         clock = SimpleNamespace(dt=dt, start=0.0, ticks=lambda t: np.rint(t / dt))
-        self.a, self.batches = SimpleNamespace(survey=SimpleNamespace(channels=each), clock=clock, log=log), []
+        recording = SimpleNamespace(survey=SimpleNamespace(channels=each), clock=clock, log=log)
+        self.playback, self.batches = recording, []
 
     def ask(self, wanted):
         for each in wanted:
@@ -194,7 +195,7 @@ def test_score_and_information_are_those_of_the_books_differences(profiled):
     shift, step = 9, 1e-5
     z = profile.cache[shift,].z
     each = jax.tree.map(lambda a: np.stack([a] * profile.lanes), profile._window((shift,)))
-    g, p = profile.gains, profile.p
+    g, p = profile.gains, profile.setup
     found = delay_profile.jit_lanes()(
         p.layout, g.tree, g.real, g.start, g.slope, profile.problem, np.tile(z, (profile.lanes, 1)), each
     )
