@@ -228,13 +228,10 @@ def _delays(runners: list[stream.Runner], tick: int) -> dict[str, Floats]:
 
 def _outputs(playback: Playback) -> list[dict[str, str]]:
     """Return the name and unit of each channel, and the state that it measures directly; empty: none."""
-    scenario, rows = playback.cell.scenario, []
+    scenario, log = playback.cell.scenario, playback.log
     states = {output: state for state, output in outputs_of_states(scenario).items()}
-    for i, (name, unit) in enumerate(
-        zip(playback.log.channels, playback.log.units or output_units(scenario), strict=True)
-    ):
-        rows.append({"channel": name, "unit": unit, "state": states.get(i, "")})
-    return rows
+    pairs = enumerate(zip(log.channels, log.units or output_units(scenario), strict=True))
+    return [{"channel": name, "unit": unit, "state": states.get(i, "")} for i, (name, unit) in pairs]
 
 
 def _results(

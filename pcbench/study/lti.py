@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.dynamics.linear import noise_over_tick
 from pcbench.errors import UserError, brief_repr
+from pcbench.observers.parts.assumed_noise import require_covariance
 from pcbench.plants.lti import MATRICES, Numbers
 from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.scenario import ProcessNoise
@@ -20,8 +21,6 @@ from pcbench.study.lti_inputs import sources
 from pcbench.study.lti_plant import LtiTable, dimensions, nominal_numbers, plant_deviations, require_slow
 from pcbench.study.parse_scenario import experiment_on
 from pcbench.study.scenario_schema import Experiment, takes_axes
-
-ROUNDING = 1e-12  # allowed asymmetry and negative eigenvalues of a covariance, relative to its largest entry
 
 
 def process_noise(
@@ -70,12 +69,7 @@ def covariance(entries: float | list[float] | list[list[float]], n: int, where: 
             "for each column of G."
         )
     Q: NDArray[np.float64] = np.diag(np.array(entries, float)) if flat else np.array(entries, float)
-    size = max(float(np.abs(Q).max()), 1e-300)
-    if np.abs(Q - Q.T).max() > ROUNDING * size or np.linalg.eigvalsh(Q)[0] < -ROUNDING * size:
-        raise UserError(
-            f"{where}: got {brief_repr(entries)}, expected a covariance: symmetric, with no eigenvalue below 0; "
-            "correct its entries."
-        )
+    require_covariance(Q, entries, where)
     return Q
 
 

@@ -52,11 +52,6 @@ OBSERVER = Observer(
     flow=lambda gains, memory, now: A @ memory + B @ now.u,
     estimate=lambda gains, memory: memory,
 )
-SIGN = OBSERVER._replace(
-    jump=lambda gains, memory, now, arrival: (
-        memory + 0.01 * gains @ jnp.sign(jnp.where(arrival.mask, arrival.value - C @ memory, 0.0))
-    )
-)
 PLANT = Plant(step=lambda params, now, x: A @ x + B @ now.u, output=lambda params, now, x: C @ x)
 
 

@@ -8,7 +8,6 @@ from reference import helicopter as reference
 from reference import helicopter_ekf, high_gain
 
 from pcbench import planning
-from pcbench.observers import entry_of
 from pcbench.planning import loop_setup, padding
 from pcbench.planning.padding import Plan
 from pcbench.scenarios import SCENARIOS
@@ -85,8 +84,3 @@ def gap(p: Plan, observer: Any = None) -> float:
     got, want = record(p), expected(p, observer)
     pairs = ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u))
     return max(float(np.abs(a - b).max()) for a, b in pairs)
-
-
-def suited(label: str) -> bool:
-    """Say whether an observer works on the helicopter."""
-    return entry_of(label).nonlinear

@@ -47,13 +47,18 @@ def covariance(noise: Variances | Sizes | None, n: int, where: str, signal: str)
         )
     if entries.ndim < 2:
         return np.asarray(entries * np.eye(n))
-    size = max(float(np.abs(entries).max()), 1e-300)
-    if np.abs(entries - entries.T).max() > ROUNDING * size or np.linalg.eigvalsh(entries)[0] < -ROUNDING * size:
+    require_covariance(entries, noise, where)
+    return entries
+
+
+def require_covariance(Q: Matrix, entries: object, where: str) -> None:
+    """Raise UserError for a matrix, given by `entries`, that is not symmetric or has an eigenvalue below 0."""
+    size = max(float(np.abs(Q).max()), 1e-300)
+    if np.abs(Q - Q.T).max() > ROUNDING * size or np.linalg.eigvalsh(Q)[0] < -ROUNDING * size:
         raise UserError(
-            f"{where}: got {brief_repr(noise)}, expected a covariance: symmetric, with no eigenvalue below 0; "
+            f"{where}: got {brief_repr(entries)}, expected a covariance: symmetric, with no eigenvalue below 0; "
             "correct its entries."
         )
-    return entries
 
 
 def _is_rectangular(noise: Variances | Sizes | None) -> bool:
