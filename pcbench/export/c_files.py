@@ -168,7 +168,7 @@ def header(about: About, s: Source) -> str:
         "",
         "#endif",
     ]
-    return _replace_real("\n".join(lines) + "\n", label)
+    return re.sub(r"\breal\b", f"{label}_real", "\n".join(lines) + "\n")  # the observer's own floating-point type
 
 
 def _with_notes(fields: list[structs.Field], notes: tuple[str, ...]) -> list[structs.Field]:
@@ -181,11 +181,6 @@ def _macro(about: About) -> str:
 
 def _has(s: Source, name: str) -> bool:
     return any(f.name == name for f in s.functions)
-
-
-def _replace_real(text: str, label: str) -> str:
-    """Return a text with the observer's own floating-point type."""
-    return re.sub(r"\breal\b", f"{label}_real", text)
 
 
 def code(about: About, s: Source) -> str:

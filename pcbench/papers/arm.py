@@ -84,7 +84,7 @@ LINK = "0 1.0000 3.7500 0.0013"
 def claims() -> list[Claim]:
     """Return the claims for `pcbench reproduce arm`."""
     with config.float64():
-        return [*table_claims(), *gain_claims(), *_findings(), *_compare_on_samples()]
+        return [*table_claims(), *_part_claims(), *_gains(), *_constants(), *_findings(), *_compare_on_samples()]
 
 
 def _findings() -> Iterator[Claim]:
@@ -239,11 +239,6 @@ def judge(printed: str, value: float, low: float, high: float) -> str:
 def _column(runs: pd.DataFrame, force: str, observer: str, signal: str, metric: str) -> NDArray[np.float64]:
     mask = (runs.scenario == INPUTS[force]) & (runs.observer == observer) & (runs.signal == signal)
     return runs.loc[mask, METRICS[metric]].to_numpy()
-
-
-def gain_claims() -> list[Claim]:
-    """Return the claims on printed gains and constants."""
-    return [*_part_claims(), *_gains(), *_constants()]
 
 
 def parts() -> Split:

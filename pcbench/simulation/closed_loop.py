@@ -46,7 +46,7 @@ def first_loop_state(layout: Layout, p: GridPointParams, memories: Memories) -> 
         commands,
         metrics.zero_sums(tracking_error(controller, p, jnp.asarray(0), p.x0).shape[0]),
         controller.start(p.control, xhat) if controller.start else (),
-        metrics.zero_cost() if isinstance(p.weights, metrics.Weights) else (),
+        metrics.ControlCost(jnp.zeros(()), jnp.zeros(())) if isinstance(p.weights, metrics.Weights) else (),
     )
 
 

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
-from pcbench.protocols import Arrival, Covariance, Gains, Innovation, InnovationStats, Memory, Now, Observer
+from pcbench.protocols import Arrival, Gains, Innovation, InnovationStats, Memory, Now, Observer
 from pcbench.simulation.types import GridPointParams, Layout, present
 
 
@@ -98,11 +98,7 @@ def covariances(
 ) -> dict[str, Array]:
     """Return the error covariance that each observer of one run reports at tick k, by label."""
     now = present(p, k, False, commands)
-    return {label: f(p.gains[label], memories[label], now) for label, f in _covariance_functions(layout).items()}
-
-
-def _covariance_functions(layout: Layout) -> dict[str, Covariance]:
-    return {label: o.covariance for label, o in layout.observers if o.covariance}
+    return {o: f.covariance(p.gains[o], memories[o], now) for o, f in layout.observers if f.covariance}
 
 
 def normalize_error(e: Array, P: Array, prior_std: Array) -> Squares:

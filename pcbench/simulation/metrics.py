@@ -62,11 +62,6 @@ class ControlCost(NamedTuple):
     square: Array  # sum of u'u
 
 
-def zero_cost() -> ControlCost:
-    """Return the control cost of an empty window."""
-    return ControlCost(jnp.zeros(()), jnp.zeros(()))
-
-
 def add_cost(effort: ControlCost, weights: Weights, k: Array, x: Array, u: Array) -> ControlCost:
     """Add the state x[n] and the input u[m] of tick k to the window."""
     cost, square = jnp.zeros(()), u @ u

@@ -83,13 +83,9 @@ def diverges_more(best: "Row | pd.Series", rival: "Row | pd.Series") -> bool:
     """Return whether one row of stats has significantly more diverged runs than another."""
     if not rival["diverged"]:
         return False
-    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, rival))
+    counts = [(int(row["diverged"]), int(row["n"])) for row in (best, rival)]
+    high, low = (columns(wilson(np.array([diverged]), diverged + finite))[0] for diverged, finite in counts)
     return bool(low["ci_low"] > high["ci_high"])
-
-
-def fraction_of(diverged: int, finite: int) -> dict[str, float]:
-    """Return the share of runs that diverged, with Wilson's interval."""
-    return columns(wilson(np.array([diverged]), diverged + finite))[0]
 
 
 def _is_worse(pairs: list[Row], best: Row, rival: Row) -> bool:
