@@ -39,11 +39,7 @@ ALL: dict[str, tuple[Callable[..., None], str]] = {  # by name: the function, an
 NAMES = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
-    name="pcbench",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings=NAMES,
+    name="pcbench", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None, context_settings=NAMES
 )
 
 

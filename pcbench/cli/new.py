@@ -129,9 +129,7 @@ def title(page: str) -> str:
     return next(line for line in page.splitlines() if line.startswith("# ")).removeprefix("# ")
 
 
-def guide(
-    topic: Annotated[str | None, argument("Name of a page [default: the list of pages]")] = None,
-) -> None:
+def guide(topic: Annotated[str | None, argument("Name of a page [default: the list of pages]")] = None) -> None:
     """Print a page of the guide, or the list of its pages.
 
     Example: pcbench guide choose-an-observer

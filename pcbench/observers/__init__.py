@@ -90,12 +90,7 @@ def _filter(module: ModuleType, summary: str, knows_schedule: bool = True) -> Ob
 
 
 _PCO = ObserverSpec(
-    pco.OBSERVER,
-    pco.Proportional,
-    pco.design,
-    True,
-    "piecewise-continuous observer of reduced order",
-    "one clock",
+    pco.OBSERVER, pco.Proportional, pco.design, True, "piecewise-continuous observer of reduced order", "one clock"
 )
 # Kalman filters that differ from `kf` in their treatment of delayed samples.
 LATE = {
@@ -142,9 +137,7 @@ OBSERVERS = {
     ),
     "pco": _PCO._replace(designed={"Kp": "lmi"}),
     "pi-pco": _PCO._replace(
-        options=pco.ProportionalIntegral,
-        summary="pco with an integral term",
-        designed={"Kp": "lmi", "Ki": "lmi"},
+        options=pco.ProportionalIntegral, summary="pco with an integral term", designed={"Kp": "lmi", "Ki": "lmi"}
     ),
     "chain": _spec(chain, "chain of observers, one per delay", "constant delays")._replace(
         designed={"gain": "riccati"}

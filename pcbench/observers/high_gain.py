@@ -108,14 +108,7 @@ def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memo
     z = jnp.concatenate([z2 - k1, a * jnp.clip(z3, gains.low, gains.high) + phi - th * k2, -(th**2) * k3])
     s11, s12, s13, s22, s23, s33 = memory.S
     S = th * jnp.stack(
-        [
-            1 - s11,
-            -s12 - s11,
-            -s13 - a * s12,
-            -s22 - 2 * s12,
-            -s23 - s13 - a * s22,
-            -s33 - 2 * a * s23 + gains.rho,
-        ]
+        [1 - s11, -s12 - s11, -s13 - a * s12, -s22 - 2 * s12, -s23 - s13 - a * s22, -s33 - 2 * a * s23 + gains.rho]
     )
     return Memory(z, -k1, S, jnp.zeros(d), jnp.zeros_like(memory.newest))
 

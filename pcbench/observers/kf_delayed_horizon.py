@@ -53,9 +53,7 @@ class Options(linear_filter.Options):
     """Lag of the filter."""
 
     lag: float | None = Field(
-        None,
-        ge=0,
-        description="age at which measurements are used [s]; default: the largest delay of the schedule",
+        None, ge=0, description="age at which measurements are used [s]; default: the largest delay of the schedule"
     )
 
 

@@ -20,9 +20,7 @@ class Options(linear_filter.Options):
     """Maximum age of a sample."""
 
     max_age: float | None = Field(
-        None,
-        ge=0,
-        description="largest age of a measurement that is used [s]; default: the shortest sampling period",
+        None, ge=0, description="largest age of a measurement that is used [s]; default: the shortest sampling period"
     )
 
 

@@ -9,14 +9,7 @@ from pcbench.papers.claim import Claim
 from pcbench.runtime import config
 from pcbench.runtime.progress import SILENT, Progress
 
-LONGEST_FIRST = (
-    "field",
-    "arm",
-    "helicopter",
-    "pi-pco",
-    "chain",
-    "cart",
-)  # measured; affects only the duration
+LONGEST_FIRST = ("field", "arm", "helicopter", "pi-pco", "chain", "cart")  # measured; affects only the duration
 
 
 def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:

@@ -40,13 +40,7 @@ from pcbench.synthesis.unknown_input import Split, split, unmovable
 SEEDS = 256
 CLOSE = 1e-3
 STARTS = 64
-SIGNALS = {
-    "x1": "link_angle",
-    "x2": "link_velocity",
-    "x3": "motor_angle",
-    "x4": "motor_velocity",
-    "d": "input",
-}
+SIGNALS = {"x1": "link_angle", "x2": "link_velocity", "x3": "motor_angle", "x4": "motor_velocity", "d": "input"}
 INPUTS = {"d1": "arm/sine", "d2": "arm/sawtooth"}
 METRICS = {"max": "steady_max_abs_error", "mean": "steady_mae"}
 PRINTED = {
@@ -319,12 +313,7 @@ def _constants() -> Iterator[Claim]:
     yield statement("|f| <= delta without d", "0.1103", f"delta = {delta:.5f}, to 4 digits", rounds_to("0.1103", delta))
     yield statement("rho = 1 leaves eta = 0.89 (22)", "0.89", text, min(eta.values()) > 0.885)
     yield statement("zeta = 1.8 bounds f' under d1 (38)", "1.8", f"at most {rate:.2f}", bool(rate <= 1.8))
-    yield statement(
-        "zeta = 1.8 bounds f' under d2 (38)",
-        "1.8",
-        f"d jumps by {jump:.2g}",
-        bool(jump < 1.8 * step),
-    )
+    yield statement("zeta = 1.8 bounds f' under d2 (38)", "1.8", f"d jumps by {jump:.2g}", bool(jump < 1.8 * step))
     yield Claim(
         "modes with both sensors on the link, which no L1 changes",
         "-0.006 +- 1.9365j (sign restored)",

@@ -42,15 +42,7 @@ SCALES = {"cart/nominal": "4.9499", "cart/slow": "4.9502"}
 def claims() -> list[Claim]:
     """Return the claims for `pcbench reproduce cart`."""
     with config.float64():
-        return [
-            *_gains(),
-            *theorem(),
-            *_two_periods(),
-            *_ordering(),
-            *_under_noise(),
-            *_misprints(),
-            *_open(),
-        ]
+        return [*_gains(), *theorem(), *_two_periods(), *_ordering(), *_under_noise(), *_misprints(), *_open()]
 
 
 def _gains() -> Iterator[Claim]:

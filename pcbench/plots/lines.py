@@ -184,11 +184,7 @@ def quantiles(found: ExactValidation, *, paper: Paper = PAPER) -> Figure:
     return figure
 
 
-COSTS = {
-    "sample": "multiplications per sample",
-    "tick": "multiplications per tick",
-    "memory": "bytes of memory",
-}
+COSTS = {"sample": "multiplications per sample", "tick": "multiplications per tick", "memory": "bytes of memory"}
 
 
 def cost(

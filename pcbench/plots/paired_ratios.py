@@ -55,11 +55,7 @@ class Ratios(NamedTuple):
 
 
 def ratios_of(
-    result: Result,
-    scenario: str | None = None,
-    signal: str | None = None,
-    metric: str = frames.METRIC,
-    cell: int = 0,
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = frames.METRIC, cell: int = 0
 ) -> Ratios | None:
     """Return the ratios of a grid point; None for one observer, for a least mean of 0, or for a metric that ranks nothing."""
     metric = result.ranks(metric)

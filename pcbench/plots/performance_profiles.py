@@ -76,11 +76,7 @@ def shares_within(matrix: Regrets, observer: str) -> tuple[Floats, Floats]:
 
 
 def profiles(
-    result: Result,
-    *,
-    metric: str = frames.METRIC,
-    signals: list[str] | None = None,
-    paper: Paper = PAPER,
+    result: Result, *, metric: str = frames.METRIC, signals: list[str] | None = None, paper: Paper = PAPER
 ) -> Figure:
     """Return the performance profile of each observer, and the probability of each of its ranks.
 

@@ -164,11 +164,7 @@ def _common_prefix(names: list[str]) -> str:
 
 
 def regrets(
-    result: Result,
-    *,
-    metric: str = frames.METRIC,
-    signals: list[str] | None = None,
-    paper: Paper = PAPER,
+    result: Result, *, metric: str = frames.METRIC, signals: list[str] | None = None, paper: Paper = PAPER
 ) -> Figure:
     """Return a matrix of observers and situations: the error divided by the least error of the situation.
 

@@ -153,10 +153,7 @@ def autocorrelation(r: Replay, by_observer: Mapping[str, Innovations], paper: Pa
     with sheet(paper, "", keys=[BAND], width=WIDE * paper.width) as (figure, (ax,)):
         set_limits(ax, "x", 0.0, lags + 1.0)
         set_range(
-            ax,
-            "y",
-            [2 * band, -2 * band, *(v for s in by_observer.values() for v in s.autocorrelation)],
-            log=False,
+            ax, "y", [2 * band, -2 * band, *(v for s in by_observer.values() for v in s.autocorrelation)], log=False
         )
         ax.set(title="autocorrelation of the normalised innovations [-]", xlabel="lag [measurements]")
         ax.axhspan(-band, band, color=GRID, linewidth=0, zorder=1)

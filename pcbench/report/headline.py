@@ -74,13 +74,7 @@ def _operations(part: pd.DataFrame, costs: pd.DataFrame) -> Headline:
 
 
 def _cell(
-    result: Result,
-    scenario: str,
-    signal: str,
-    part: pd.DataFrame,
-    metric: str,
-    cell: int,
-    leaders: tuple[str, ...],
+    result: Result, scenario: str, signal: str, part: pd.DataFrame, metric: str, cell: int, leaders: tuple[str, ...]
 ) -> Headline:
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
     stats, look = stats[stats.cell == cell], styles(part.observer)

@@ -50,9 +50,7 @@ SINE = Scenario(
 ARM = (
     SINE,
     SINE.with_fields(
-        name="arm/sawtooth",
-        summary="unknown sawtooth input, continuous measurement",
-        unknown_input="arm-sawtooth",
+        name="arm/sawtooth", summary="unknown sawtooth input, continuous measurement", unknown_input="arm-sawtooth"
     ),
     SINE.with_fields(
         name="arm/sampled",

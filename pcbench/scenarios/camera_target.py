@@ -26,12 +26,7 @@ FOLLOWING = Scenario(
     loop=Loop(controller="state-feedback", control={"K": [[-GAIN, 0.0, -1.0]]}, actuator_delay=0.0),
     sampling=Sampling(sampling_period=(0.2, 0.05), delay=(0.2, 0.0), noise_std=(0.005, 0.0005)),
     belief=Belief(xhat0=(0.0, 0.0, 0.0), prior_std=(0.3, 0.3, 0.5)),
-    scoring=Scoring(
-        settle_band=(0.1, 0.1, 0.3),
-        divergence_threshold=100.0,
-        steady_start=4.0,
-        headline=("offset",),
-    ),
+    scoring=Scoring(settle_band=(0.1, 0.1, 0.3), divergence_threshold=100.0, steady_start=4.0, headline=("offset",)),
     dt=0.05,
     duration=12.0,
 )

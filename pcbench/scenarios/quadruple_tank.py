@@ -22,10 +22,7 @@ MINIMUM_PHASE = Scenario(
     sampling=Sampling(sampling_period=(5.0, 5.0), delay=(0.0, 60.0), noise_std=(0.02, 0.02)),
     belief=Belief(xhat0=(0.0, 0.0, 0.0, 0.0), prior_std=(1.0, 1.0, 0.3, 0.3)),
     scoring=Scoring(
-        settle_band=(0.2, 0.2, 0.2, 0.2),
-        divergence_threshold=1e3,
-        steady_start=400.0,
-        headline=("level_2", "level_4"),
+        settle_band=(0.2, 0.2, 0.2, 0.2), divergence_threshold=1e3, steady_start=400.0, headline=("level_2", "level_4")
     ),
     dt=1.0,
     duration=1200.0,

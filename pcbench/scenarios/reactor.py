@@ -12,10 +12,7 @@ wrong so far from the true state. `mhe-bounded` has the constraint that pressure
 from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.toml_text import TomlTable
 
-LABELS: dict[str, TomlTable] = {
-    "mhe-bounded": {"lower": 0.0},
-    "ekf-inflated-q": {"Q": [0.01, 0.01]},
-}
+LABELS: dict[str, TomlTable] = {"mhe-bounded": {"lower": 0.0}, "ekf-inflated-q": {"Q": [0.01, 0.01]}}
 
 BATCH = Scenario(
     name="reactor/batch",

@@ -269,10 +269,7 @@ STUDIES = {
         },
     ),
     "falling-body": Study(
-        name="falling-body",
-        scenarios=["falling-body/radar"],
-        seeds=400,
-        axes={"delay": [0.0, 0.5, 1.0, 2.0]},
+        name="falling-body", scenarios=["falling-body/radar"], seeds=400, axes={"delay": [0.0, 0.5, 1.0, 2.0]}
     ),
     "coordinated-turn": Study(
         name="coordinated-turn",

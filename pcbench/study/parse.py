@@ -10,17 +10,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
 from pcbench.signal_names import require_different
-from pcbench.study import (
-    KEYS,
-    LTI,
-    Study,
-    checked_options,
-    controller_table,
-    fits,
-    labels_of,
-    scenarios_of,
-    times,
-)
+from pcbench.study import KEYS, LTI, Study, checked_options, controller_table, fits, labels_of, scenarios_of, times
 from pcbench.study.grid import Cell, Grid, cells
 from pcbench.study.labels import base_in
 from pcbench.study.load import StudyLike, normalize_raw, raw_of, where_of

@@ -106,10 +106,7 @@ class Experiment(BaseModel):
         description="[n] process noise that designs assume [unit of the state], or [n, n] a root of the covariance of a tick; "
         "default: process_std",
     )
-    input: object = Field(
-        None,
-        description="input of an open loop, as below; default: sine",
-    )
+    input: object = Field(None, description="input of an open loop, as below; default: sine")
     unknown_input: object = Field(None, description="unknown input, in the same forms")
     unknown_std: Positive | list[Positive] | None = Field(
         None, description="typical size of each unknown input or parameter; default: 1"

@@ -20,8 +20,7 @@ class Choices(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     random_initial_state: bool = Field(
-        False,
-        description="draw x(0) from N(xhat0, P0) in each run; with initial_box draw xhat(0) about x(0) instead",
+        False, description="draw x(0) from N(xhat0, P0) in each run; with initial_box draw xhat(0) about x(0) instead"
     )
     initial_spread: float = Field(
         0.0, ge=0, description="draw x(0) about x0 in each run, with this standard deviation relative to x0"
@@ -34,8 +33,7 @@ class Choices(BaseModel):
     )
     path: str | None = Field(None, description="path that the controller follows: " + ", ".join(PATHS))
     consistency: bool = Field(
-        False,
-        description="compute NEES and NIS of observers with a covariance; needs random_initial_state = true",
+        False, description="compute NEES and NIS of observers with a covariance; needs random_initial_state = true"
     )
     precision: str = Field("float64", description="floating-point type, float64 only")
 

@@ -48,11 +48,7 @@ class Maps(NamedTuple):
 
 
 def maps(
-    context: DesignContext,
-    periods: list[float] | None,
-    parameters: dict[str, list[float]] | None,
-    q: float,
-    where: str,
+    context: DesignContext, periods: list[float] | None, parameters: dict[str, list[float]] | None, q: float, where: str
 ) -> Maps:
     """Return the maps over every whole tick of `periods` (lowest, highest [s]; None: the intervals of the schedule).
 

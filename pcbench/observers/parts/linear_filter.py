@@ -52,9 +52,7 @@ class Options(assumed_noise.Options):
     """Assumptions of the filter, if they differ from the scenario's."""
 
     bias_variance: float | None = Field(
-        None,
-        gt=0,
-        description="prior variance of a constant input bias that is estimated too; default: no bias",
+        None, gt=0, description="prior variance of a constant input bias that is estimated too; default: no bias"
     )
     input_walk: float = Field(
         1.0,

@@ -26,9 +26,7 @@ SITUATIONS: dict[str, TomlTable] = {
     "right start": {"xhat0": [0.0] * 12},
     "slower": {"parameters": SLOWER},
     "twice the noise": {"noise_std": [2 * std for std in NOISE]},
-    "inflated": {
-        "options": {"ekf": {"R": [factor * std**2 for factor, std in zip(INFLATED, NOISE, strict=True)]}},
-    },
+    "inflated": {"options": {"ekf": {"R": [factor * std**2 for factor, std in zip(INFLATED, NOISE, strict=True)]}}},
 }
 
 
