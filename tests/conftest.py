@@ -27,7 +27,7 @@ settings.load_profile("house")
 SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.command_network"]
 # Checks take a fifth to a half of the time of a test, so .ci/run leaves them out where the same functions are called again.
 if os.environ.get("PCBENCH_TESTS_SHAPES") != "0":
-    install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
+    install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.check_types")
 
 
 @pytest.hookimpl(tryfirst=True)

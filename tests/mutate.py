@@ -92,7 +92,7 @@ def pytest(place: Path, tests: list[str], marks: str, longest: float | None) -> 
     """Run tests on the copy of the package in a folder; return pytest's exit code, 1 where they take too long [s]."""
     words = ["-m", "pytest", f"--rootdir={ROOT}", "-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-n", "0"]
     words += ["-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    words += ["-m", marks, *(str(TESTS / each) for each in tests)]
+    words += ["-m", marks, *(str(TESTS / test) for test in tests)]
     env = os.environ | {"PYTHONPATH": str(place), "PCBENCH_CACHE": str(place / "cache")}
     (place / "cache").mkdir(mode=0o700)
     quiet = subprocess.DEVNULL

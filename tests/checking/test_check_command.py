@@ -15,7 +15,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def refused(done):
+def assert_refusal(done):
     """Exit code 2 and one sentence."""
     lines = done.stderr.strip().splitlines()
     assert done.returncode == 2, done.stderr
@@ -87,8 +87,8 @@ def test_a_module_that_cannot_be_used_is_one_sentence(folder, name):
     text, *says = BAD_MODULES[name]
     (folder / "own.py").write_text(OWN)
     (folder / "bad.py").write_text(text)
-    sentence = refused(call("check", "bad.py:nudge", cwd=folder))
-    assert all(each in sentence for each in says), sentence
+    sentence = assert_refusal(call("check", "bad.py:nudge", cwd=folder))
+    assert all(text in sentence for text in says), sentence
 
 
 BAD_WORDS = {
@@ -104,7 +104,7 @@ BAD_WORDS = {
 @pytest.mark.parametrize("name", BAD_WORDS)
 def test_a_mistake_is_one_sentence_with_the_nearest_name(folder, name):
     words, says = BAD_WORDS[name]
-    assert says in refused(call("check", *words, cwd=folder))
+    assert says in assert_refusal(call("check", *words, cwd=folder))
 
 
 @pytest.mark.parametrize(
@@ -112,4 +112,4 @@ def test_a_mistake_is_one_sentence_with_the_nearest_name(folder, name):
 )
 def test_a_name_that_is_not_there_comes_with_the_nearest(folder, words, says):
     (folder / "mine.py").write_text(OWN)
-    assert f"did you mean {says}?" in refused(call("check", *words, cwd=folder))
+    assert f"did you mean {says}?" in assert_refusal(call("check", *words, cwd=folder))

@@ -40,7 +40,7 @@ def alone(entry):
     return plant.plant_scenario("swing", entry, {"user_code": {"plant": UserPlugin(entry, Code("", "swing", (), ""))}})
 
 
-def asked(check, entry):
+def check_message(check, entry):
     """What one check says, as it raises it."""
     trial, _ = plant.trial("swing", alone(entry))
     return CHECKS[check](trial)
@@ -142,7 +142,7 @@ BROKEN = [(check, make, sentence) for check, cases in BROKEN.items() for make, s
 @pytest.mark.parametrize(("check", "make", "sentence"), BROKEN)
 def test_a_broken_plant_fails_the_check_it_should(check, make, sentence):
     with pytest.raises(UserError, match=f"^{check}: .*{sentence}") as said:
-        asked(check, make())
+        check_message(check, make())
     assert str(said.value).endswith(".")
 
 
@@ -164,7 +164,7 @@ NOTES = {
 def test_what_is_no_mistake_is_a_note(check):
     make, sentence = NOTES[check]
     with pytest.raises(CheckNote, match=sentence):
-        asked(check, make())
+        check_message(check, make())
 
 
 @pytest.mark.ci
@@ -175,13 +175,13 @@ def test_a_smooth_slope_between_two_is_a_kink():
     with pytest.raises(
         UserError, match=r"got 0 from the linear model and (-1|1) from differences for the slope of output 1"
     ):
-        asked("slopes", ramp)
+        check_message("slopes", ramp)
 
 
 def test_a_mode_that_decays_unseen_is_named_too():
     own = swing(output=lambda p, now, x: x[:1], field=lambda p, now, x: jnp.stack([now.u[0] - x[0], -2.5 * x[1]]))
     with pytest.raises(CheckNote, match=r"no output shows the mode -2\.5, which decays"):
-        asked("seen", own)
+        check_message("seen", own)
 
 
 def test_there_is_a_plant_for_every_check():
@@ -190,9 +190,9 @@ def test_there_is_a_plant_for_every_check():
 
 def test_numbers_that_are_none_are_named():
     with pytest.raises(UserError, match=r"^numbers: got 'x' in the result of prepare"):
-        asked("shapes", swing()._replace(prepare=lambda *given: "x"))
+        check_message("shapes", swing()._replace(prepare=lambda *given: "x"))
     with pytest.raises(UserError, match=r"^numbers: got A of shape \[2, 2\] in the linear model of 3 states"):
-        asked("shapes", swing()._replace(signals=(("a", "1"),) * 3, operating_point=None))
+        check_message("shapes", swing()._replace(signals=(("a", "1"),) * 3, operating_point=None))
 
 
 def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_will_do():

@@ -29,7 +29,7 @@ def free(observers=("kf", "model-only"), **lti):
     return FREE | {"observers": list(observers), "lti": FREE["lti"] | lti}
 
 
-def asked(check, raw):
+def run_check(check, raw):
     return of_studies.CHECKS[check](parse.grid_of(raw, {}, []))
 
 
@@ -54,16 +54,17 @@ def test_a_refusal_of_gains_is_named_with_its_cell():
     with pytest.raises(
         UserError, match=r"got a refusal of kf in lti: '.* mode 0 is undetectable .*', expected gains in every"
     ):
-        asked("gains", raw)
+        run_check("gains", raw)
     assert (
-        asked("gains", free() | {"axes": {"noise_std": [0.001 * i for i in range(1, 21)]}}) == "found in 6 of 20 cells"
+        run_check("gains", free() | {"axes": {"noise_std": [0.001 * i for i in range(1, 21)]}})
+        == "found in 6 of 20 cells"
     )
 
 
 def test_a_loop_that_does_not_settle_is_named_with_its_eigenvalue():
     bad = {"use": "state-feedback", "K": [[0.0] * 3] * 2}
     with pytest.raises(UserError, match="state-feedback does not stabilise the plant of lti"):
-        asked("settles", study(bad, **SHORT))
+        run_check("settles", study(bad, **SHORT))
 
 
 @pytest.mark.ci
@@ -72,7 +73,7 @@ def test_a_slip_of_a_tick_is_found_in_a_study_too(tmp_path, monkeypatch):
     text = Path(mine.__file__).read_text().replace("now.u,\n", "now.past_u(1),\n")
     (tmp_path / "slipped.py").write_text(text)
     with pytest.raises(UserError, match=r"got, from nudge in lti, an error of .* at tick [12], expected none"):
-        asked("perfect start", free(["slipped.py:nudge", "kf"]))
+        run_check("perfect start", free(["slipped.py:nudge", "kf"]))
 
 
 @pytest.mark.ci
@@ -80,11 +81,11 @@ def test_runs_that_leave_the_bound_are_a_note_and_a_plant_that_leaves_all_fails(
     with pytest.raises(
         CheckNote, match=r"the error exceeds the divergence threshold of model-only in lti \(3 of 3 runs\)"
     ):
-        asked("runs", free(["model-only"], divergence_threshold=0.5))
+        run_check("runs", free(["model-only"], divergence_threshold=0.5))
     timing = {"dt": 0.001, "sampling_period": 0.01, "delay": 0.0, "noise_std": 0.1, "duration": 0.1}
     table = {"plant": "four.py:burst", "x0": [1.0], "observers": ["model-only"], "input": "zero"} | timing
     with pytest.raises(UserError, match=r"got a plant of t that is not finite after 0\.01\d* s"):
-        asked("runs", {"name": "t", "scenario": table})
+        run_check("runs", {"name": "t", "scenario": table})
 
 
 def in_lqr(entry, **changes):
@@ -191,7 +192,7 @@ def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(m
     with pytest.raises(
         CheckNote, match=r"an error remains of kf in lti \(.* of the largest state\).*use a shorter tick"
     ):
-        asked("perfect start", free(["kf"]))
+        run_check("perfect start", free(["kf"]))
 
 
 STIFF = """
@@ -220,4 +221,4 @@ def test_a_plant_that_is_not_finite_is_not_blamed_on_observers(tmp_path, monkeyp
     scenario = {"plant": "stiff.py:stiff", "x0": [2.0, 3.0], "dt": 1e-3, "sampling_period": 0.1, "delay": 0.1}
     scenario |= {"noise_std": 0.1, "duration": 2.0}
     with pytest.raises(SkipCheck, match="the state of st is not finite without noise"):
-        asked("perfect start", {"name": "st", "observers": ["ekf", "ukf"], "scenario": scenario})
+        run_check("perfect start", {"name": "st", "observers": ["ekf", "ukf"], "scenario": scenario})

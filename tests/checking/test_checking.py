@@ -65,7 +65,7 @@ def narrow(gains, memory, now, arrival):
 
 def kept(gains, memory, now, arrival):
     SEEN.append(arrival.value)
-    return own.corrected(gains, memory, arrival)
+    return own.correct(gains, memory, arrival)
 
 
 def counted(gains, memory, now):
@@ -93,23 +93,23 @@ def sets_global_table(context, options):
 
 def written(gains, memory, now, arrival):
     gains = gains._replace(L=jnp.array([[0.07], [0.3]]))
-    return own.corrected(gains, memory, arrival)
+    return own.correct(gains, memory, arrival)
 
 
 def called_back(gains, memory, now, arrival):
     y = jax.pure_callback(lambda y: np.asarray(y), jax.ShapeDtypeStruct((1,), float), arrival.value)
-    return own.corrected(gains, memory, arrival._replace(value=y))
+    return own.correct(gains, memory, arrival._replace(value=y))
 
 
 def knows_the_present(gains, memory, now, arrival):
     L = gains.L * (1 + 1e-3 * now.past_u(arrival.age[0])[0])
-    return own.corrected(gains._replace(L=L), memory, arrival)
+    return own.correct(gains._replace(L=L), memory, arrival)
 
 
 BEFORE = {  # the estimate is kept as it was before the jump
     "init": lambda gains, xhat0: (xhat0, xhat0),
     "snapshot": lambda gains, memory, now: gains.C @ memory[0],
-    "jump": lambda gains, memory, now, arrival: (own.corrected(gains, memory[0], arrival), memory[1]),
+    "jump": lambda gains, memory, now, arrival: (own.correct(gains, memory[0], arrival), memory[1]),
     "flow": lambda gains, memory, now: (gains.Phi @ memory[0] + gains.Gamma @ now.u,) * 2,
     "estimate": lambda gains, memory: memory[1],
 }
@@ -175,7 +175,7 @@ def test_an_input_that_is_not_yet_there_is_peeking():
 @pytest.mark.ci
 def test_a_memory_changed_in_place_is_no_pure_function():
     def jump(gains, memory, now, arrival):
-        memory["x"] = own.corrected(gains, memory["x"], arrival)
+        memory["x"] = own.correct(gains, memory["x"], arrival)
         return memory
 
     changes = {
@@ -193,7 +193,7 @@ def test_a_memory_changed_in_place_is_no_pure_function():
 @pytest.mark.ci
 def test_an_age_of_zero_is_no_divisor():
     def jump(gains, memory, now, arrival):
-        return own.corrected(gains._replace(L=gains.L / arrival.age[0]), memory, arrival)
+        return own.correct(gains._replace(L=gains.L / arrival.age[0]), memory, arrival)
 
     assert "not finite" in failing(verdicts(broken({"jump": jump})))["delay 0"]
 

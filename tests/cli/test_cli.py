@@ -35,7 +35,7 @@ def test_program_ends_with_its_code_and_calls_functions_of_atexit(code):
     assert (done.returncode, done.stdout) == (code, "called\n"), done.stderr
 
 
-def refused(done):
+def assert_refusal(done):
     """Exit code 2, nothing on standard output, one sentence."""
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -103,7 +103,7 @@ BAD = {
 @pytest.mark.parametrize("name", BAD)
 def test_a_mistake_is_one_sentence_and_writes_nothing(name, tmp_path):
     words, got, expected = BAD[name]
-    sentence = refused(call(*words, cwd=tmp_path))
+    sentence = assert_refusal(call(*words, cwd=tmp_path))
     assert got in sentence
     assert expected in sentence
     assert list(tmp_path.iterdir()) == []
@@ -149,7 +149,7 @@ def test_a_mistake_in_a_file_names_the_file(name, tmp_path):
     text, expected = TOML[name]
     path = tmp_path / "study.toml"
     path.write_text(text)
-    sentence = refused(call("run", path, "--out", tmp_path / "out"))
+    sentence = assert_refusal(call("run", path, "--out", tmp_path / "out"))
     assert expected in sentence
     assert str(path) in sentence
     assert not (tmp_path / "out").exists()
@@ -158,7 +158,7 @@ def test_a_mistake_in_a_file_names_the_file(name, tmp_path):
 @pytest.mark.ci
 def test_an_unwritable_folder_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
-    sentence = refused(call("run", "quick", "--seeds", "1", "--out", tmp_path / "file" / "below"))
+    sentence = assert_refusal(call("run", "quick", "--seeds", "1", "--out", tmp_path / "file" / "below"))
     assert "cannot be written" in sentence
 
 
@@ -206,7 +206,7 @@ HINTS = {
 
 @pytest.mark.parametrize("change", HINTS)
 def test_a_name_without_its_table_is_answered_with_the_table(change, tmp_path):
-    assert HINTS[change] in refused(call("run", "quick", "--set", change, cwd=tmp_path))
+    assert HINTS[change] in assert_refusal(call("run", "quick", "--set", change, cwd=tmp_path))
 
 
 @pytest.mark.nightly
@@ -268,7 +268,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
 
 @pytest.mark.parametrize("words", [["rum"], ["run", "quick", "--sedes", "3"], ["run"], ["simulate", "cart/white"]])
 def test_a_wrong_word_points_to_the_help_of_its_own_command(words):
-    sentence = refused(call(*words))
+    sentence = assert_refusal(call(*words))
     assert sentence.endswith(f"; see pcbench{' ' + words[0] if words[0] != 'rum' else ''} --help.")
     assert "?" not in sentence.removesuffix(".")
     assert words[0] != "rum" or "did you mean 'run'" in sentence
@@ -283,7 +283,9 @@ def test_a_trace_is_of_the_kind_that_its_name_says(tmp_path):
     written = csv.read_csv(tmp_path / "t.csv").to_pandas()  # which reads every digit
     pd.testing.assert_frame_equal(written, pd.read_parquet(tmp_path / "t.parquet"), check_exact=True, check_dtype=False)
     for name, said in (("t.mat", "got the suffix '.mat'"), ("t", "got no suffix")):
-        assert said in refused(call("simulate", "cart/slow", "--observer", "model-only", "--out", tmp_path / name))
+        assert said in assert_refusal(
+            call("simulate", "cart/slow", "--observer", "model-only", "--out", tmp_path / name)
+        )
 
 
 @pytest.mark.ci
@@ -338,7 +340,7 @@ def test_reproduce_prints_every_claim_with_a_verdict():
     ordering = [v for c, v in verdicts.items() if "better in position" in c]
     assert ordering == ["reproduced"] * 10, "five experiments, MAE and RMSE"
     marked = {
-        v: sum(each == v for each in verdicts.values()) for v in ("misprint", "does not hold", "not determinable")
+        v: sum(verdict == v for verdict in verdicts.values()) for v in ("misprint", "does not hold", "not determinable")
     }
     assert marked == {"misprint": 3, "does not hold": 4, "not determinable": 5}
     assert verdicts["6.3: PCCEBO less sensitive to the parameters, MAE"] == "does not hold"

@@ -29,7 +29,7 @@ def here(tmp_path):
     return tmp_path
 
 
-def stopped(words, here, ready, number=signal.SIGINT):
+def send_signal(words, here, ready, number=signal.SIGINT):
     """Send a signal once `ready` (what it has written to standard error); return that, and the seconds until the end."""
     with (here / "stderr").open("w") as errors:
         process = subprocess.Popen([*PCBENCH, *words], cwd=here, stdout=subprocess.DEVNULL, stderr=errors)
@@ -60,7 +60,7 @@ def hidden(here):
 @pytest.mark.slow
 def test_ctrl_c_ends_a_long_call_after_other_observers_are_written(here):
     words = ["run", "cart/white", "--observers", "long.py:nudge,kf", "--seeds", "8", "--out", "out"]
-    said, took = stopped(words, here, lambda said: blocks(here) and "takes about" in said)
+    said, took = send_signal(words, here, lambda said: blocks(here) and "takes about" in said)
     announced, last = said.splitlines()
     found = re.fullmatch(
         r"pcbench: cart/white: a call of nudge, of up to 64 runs, takes about \d+(\.\d)? (min|h) or more; calls to do: 1\. .*",
@@ -81,7 +81,7 @@ def test_ctrl_c_ends_a_long_call_after_other_observers_are_written(here):
 def test_sigterm_ends_a_compiled_call_of_the_main_thread(here):
     words = ["simulate", "cart/white", "--observer", "long.py:nudge", "--out", "trace.csv"]
     (here / "long.py").write_text((here / "long.py").read_text().replace(str(STEPS), "10**9") + MARK)
-    said, took = stopped(words, here, lambda said: (here / "begun").exists(), signal.SIGTERM)
+    said, took = send_signal(words, here, lambda said: (here / "begun").exists(), signal.SIGTERM)
     assert said == LAST + "\n"
     assert took < 4
     assert not (here / "trace.csv").exists()

@@ -104,7 +104,7 @@ def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, mon
     assert not list((here / "shut").iterdir())
 
 
-def stopped(*_):
+def raise_interrupt(*_):
     raise KeyboardInterrupt
 
 
@@ -123,11 +123,11 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
         with replay_metrics.draft(tmp_path) as draft:
             draft.write(pa.table({"t": [0.0, 1.0]}))
             if at == "estimates":
-                stopped()
+                raise_interrupt()
             draft.close()
             draft.finish({})
 
-    monkeypatch.setattr(storage, "write_json", stopped)
+    monkeypatch.setattr(storage, "write_json", raise_interrupt)
     with pytest.raises(KeyboardInterrupt):
         replayed()
     assert standing(tmp_path) == before
@@ -144,7 +144,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
     def stopped_at_the_second(*given):
         mine = at == "write_file" or "partial" not in str(given[0])  # `write_file` renames too
         calls.extend([given] if mine else [])
-        return stopped() if mine and len(calls) == 2 else does(*given)
+        return raise_interrupt() if mine and len(calls) == 2 else does(*given)
 
     monkeypatch.setattr(module, at, stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
@@ -152,7 +152,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
     assert standing(tmp_path) == dict.fromkeys(names, left)
 
 
-def interrupted(words, cwd, ready, number=signal.SIGINT):
+def interrupt(words, cwd, ready, number=signal.SIGINT):
     """What a command leaves that gets Ctrl-C (or another signal) once it is ready, or None where it was done before."""
     with subprocess.Popen(
         [*PCBENCH, *words], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -182,7 +182,7 @@ def test_signal_during_replay_leaves_no_file(tmp_path, number):
         kind="parquet",
     )
     words = ["replay", "flight", "--plant", "motor.toml", "--observers", "kf,ukf", "--out", "out"]
-    assert interrupted(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists, number) == set()
+    assert interrupt(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists, number) == set()
 
 
 @pytest.mark.nightly
@@ -190,7 +190,7 @@ def test_ctrl_c_in_an_export_leaves_all_of_its_files_or_none(tmp_path):
     whole = {"kf.c", "kf.h", "kf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
     for wait in (1.5, 2.5, 3.5, 4.5):
         until = time.monotonic() + wait
-        left = interrupted(["export", "cart/white", "kf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
+        left = interrupt(["export", "cart/white", "kf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
         assert left in (None, set(), whole)
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
 

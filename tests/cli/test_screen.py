@@ -41,7 +41,7 @@ def many():
     return pcbench.run(MANY)
 
 
-def shown(result, width=80, metric="steady_rmse", signals=None):
+def render(result, width=80, metric="steady_rmse", signals=None):
     console = Screen(file=io.StringIO(), width=width)
     results.closing(result, console, metric, signals)
     return console.file.getvalue()
@@ -54,7 +54,7 @@ def number(row):
 @pytest.mark.ci
 @pytest.mark.parametrize("width", [60, 80, 100, 160])
 def test_no_number_is_cut_at_any_width(many, width):
-    text = shown(many, width)
+    text = render(many, width)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
     rows = many.stats[(many.stats.metric == "steady_rmse") & (many.stats.signal == "position")]
@@ -71,7 +71,7 @@ def test_no_number_is_cut_at_any_width(many, width):
 
 @pytest.mark.ci
 def test_an_axis_column_stands_where_there_is_room(many):
-    text = shown(many, 200)
+    text = render(many, 200)
     assert re.search(r"delay +noise_std +assumed_delay_error +observer +steady_rmse +diff. to best", text)
     assert "Left out" not in text
 
@@ -81,7 +81,7 @@ def test_an_axis_column_stands_where_there_is_room(many):
 def test_a_head_is_the_name_of_one_metric(whole, metric):
     """The column that ranks bears the metric's name, and no other column does."""
     result = pcbench.open_result(whole)
-    text = shown(result, 160, metric)
+    text = render(result, 160, metric)
     head = next(line for line in text.splitlines() if "observer" in line and metric in line)
     words = [w for w in re.split(r"  +", head.strip()) if w]
     assert "settling_time [s]" not in words or metric == "settling_time" or "median" in text
@@ -111,7 +111,7 @@ def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whol
             (result.stats.metric == metric) & (result.stats.signal == "position") & (result.stats.cell == 1)
         ]
         best, worse = mine.sort_values("mean").observer
-        lines = [line.split() for line in shown(result, 160, metric).splitlines()]
+        lines = [line.split() for line in render(result, 160, metric).splitlines()]
         order = [w for line in lines for w in line if w in ("pccebo", "kfbo")][-2:]
         assert order == [best, worse]
         pairs = result.pairs[
@@ -119,16 +119,16 @@ def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whol
         ]
         said = number_format.difference(pairs, worse, best)
         assert said.startswith("+") or said == "="
-        assert said.split(" ± ")[0] in shown(result, 160, metric)
+        assert said.split(" ± ")[0] in render(result, 160, metric)
 
 
 @pytest.mark.ci
 def test_signals_can_be_chosen(whole):
     result = pcbench.open_result(whole)
-    assert shown(result).count("error of ") == 1
-    assert shown(result, signals=[]).count("error of ") == 2
-    assert "error of velocity [m/s]" in shown(result, signals=["velocity"])
-    assert "error of position" not in shown(result, signals=["velocity"])
+    assert render(result).count("error of ") == 1
+    assert render(result, signals=[]).count("error of ") == 2
+    assert "error of velocity [m/s]" in render(result, signals=["velocity"])
+    assert "error of position" not in render(result, signals=["velocity"])
 
 
 @pytest.mark.nightly  # what it prints is tested above, and what it refuses in test_cli
@@ -161,7 +161,7 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
 @pytest.mark.ci
 def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
     monkeypatch.setattr(results, "LONGEST", 8)
-    text = shown(many)
+    text = render(many)
     assert "least steady_rmse of position, over 8 grid points" in text
     assert "median steady_rmse [m]" in text
     assert "diff. to best" not in text, "a footnote of columns that are not there"
@@ -320,7 +320,7 @@ def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypat
 SQUARES = {"nees": (0.7, 0.8, 1.2), "nis": (1.02, 0.95, 1.05)}
 
 
-def believed(cells, squares=SQUARES):
+def stats_rows(cells, squares=SQUARES):
     """Rows of stats of an observer that is pessimistic of its error and right about its samples, in some cells."""
     rows = []
     for cell in range(cells):
@@ -332,7 +332,7 @@ def believed(cells, squares=SQUARES):
 
 @pytest.mark.parametrize(("cells", "exact"), [(1, False), (2, False), (1, True), (30, False)])
 def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exact):
-    console, stats = Screen(file=io.StringIO(), width=100), believed(cells)
+    console, stats = Screen(file=io.StringIO(), width=100), stats_rows(cells)
     stats = stats[~stats.metric.str.endswith("band")] if exact else stats
     assert results.print_consistency("cart/slow", stats, console) == [results.MEANS]
     text = console.file.getvalue()
@@ -347,7 +347,7 @@ def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exa
 
 def test_of_who_believes_nothing_nothing_is_said():
     console = Screen(file=io.StringIO(), width=100)
-    nothing, refused = believed(1).iloc[:0], believed(1).assign(mean=np.nan)
+    nothing, refused = stats_rows(1).iloc[:0], stats_rows(1).assign(mean=np.nan)
     for stats in (nothing, refused):
         assert results.print_consistency("cart/slow", stats, console) == []
     assert console.file.getvalue() == ""

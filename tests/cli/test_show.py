@@ -82,11 +82,11 @@ def test_what_is_no_scenario_is_one_sentence(words, sentence):
 def test_a_study_with_options_of_labels_is_printed_with_them(tmp_path, capsys):
     text = """observers = ["kfbo", 'kfbo-"]x']\n[scenario]\nbase = "cart/white"\n[options.'kfbo-"]x']\nR = 0.3\n"""
     (tmp_path / "own.toml").write_text(text + "[options.scenario]\nrandom_initial_state = true\n")
-    again = parse.parse(tomllib.loads(shown(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
+    again = parse.parse(tomllib.loads(stdout(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
     assert again.options == {'kfbo-"]x': {"R": 0.3}, "scenario": {"random_initial_state": True}}
 
 
-def shown(capsys, *words):
+def stdout(capsys, *words):
     app(["show", *map(str, words)], standalone_mode=False)
     return capsys.readouterr().out
 
@@ -113,7 +113,7 @@ duration = 5.0
 def test_show_names_every_field_that_is_not_as_usual(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     (tmp_path / "own.toml").write_text(OWN)
-    text = shown(capsys, tmp_path / "own.toml")
+    text = stdout(capsys, tmp_path / "own.toml")
     for key, value in FAULTS.items():
         assert (
             f"{key.replace('_', ' ')}: {', '.join(f'{v:g}' for v in value) if isinstance(value, list) else f'{value:g}'}\n"
@@ -127,16 +127,16 @@ def test_show_names_every_field_that_is_not_as_usual(tmp_path, capsys, monkeypat
 def test_what_show_says_to_type_is_accepted(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     (tmp_path / "own.toml").write_text(OWN)
-    assert shown(capsys, tmp_path / "own.toml").rstrip().endswith(f"then pcbench run {tmp_path}/own.toml")
+    assert stdout(capsys, tmp_path / "own.toml").rstrip().endswith(f"then pcbench run {tmp_path}/own.toml")
     for name in ("cart/white", "delayed-measurements"):
-        assert f"pcbench show {name} --toml" in shown(capsys, name)
-        assert shown(capsys, name, "--toml").startswith("name = ")
+        assert f"pcbench show {name} --toml" in stdout(capsys, name)
+        assert stdout(capsys, name, "--toml").startswith("name = ")
 
 
 @pytest.mark.parametrize("name", ["delayed-measurements", "reactor/batch"])
 def test_a_study_is_printed_with_its_observers_and_axes(name, capsys):
     study = parse.load(name)
-    again = parse.parse(tomllib.loads(shown(capsys, name, "--toml")), "mine.toml")
+    again = parse.parse(tomllib.loads(stdout(capsys, name, "--toml")), "mine.toml")
     (printed,), (own,) = again.scenarios, study.scenarios
     assert observers_of(again, printed) == observers_of(study, own)
     assert again.axes == study.axes

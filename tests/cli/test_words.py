@@ -29,7 +29,7 @@ def test_who_settles_at_the_horizon_never_settles(median, text):
     assert results.format_settling_time({"p50": median}, 10.0) == text
 
 
-def printed(show_it, *given):
+def capture(show_it, *given):
     out = io.StringIO()
     show_it(*given, Screen(file=out, width=200, color_system=None))
     return out.getvalue()
@@ -39,7 +39,7 @@ def test_claims_are_counted_by_verdict_and_findings_apart():
     rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
     text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that are in no paper."
     assert folder.summary(rows) == text
-    assert text in printed(folder.all_claims, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
+    assert text in capture(folder.all_claims, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
 
 
 def test_a_comparison_shows_both_sides_with_two_standard_errors():
@@ -65,7 +65,7 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
     one |= {"p_holm": 0.002, "same_draws": False, "changed": True, "identical": False}
     one |= {"certified_a": None, "certified_b": True}
     rows = pd.DataFrame([one, one | {"observer": "still", "changed": False}])
-    text = printed(folder.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
+    text = capture(folder.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
     assert "1 ± 0.4 m" in text
     assert "1.5 ± 0.1 m" in text
     assert "+0.5" in text
@@ -98,10 +98,10 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
             **known,
         )
         texts = [
-            printed(gains.gains, Design(None, certificate)),
-            printed(gains.trade_off, "mine in s", pd.DataFrame([option])),
-            printed(gains.print_tuning, found, "mine", None),
-            printed(gains.fair, pd.DataFrame([version])),
+            capture(gains.gains, Design(None, certificate)),
+            capture(gains.trade_off, "mine in s", pd.DataFrame([option])),
+            capture(gains.print_tuning, found, "mine", None),
+            capture(gains.fair, pd.DataFrame([version])),
         ]
         assert [("No certificate for" in text) for text in texts] == 4 * [certificate is not proven]
         assert [("mine *" in text) for text in texts[2:]] == 2 * [certificate is not proven]
@@ -151,7 +151,7 @@ def test_the_closing_table_has_the_least_first_and_who_diverges_last():
             usual | {"mean_diff": -0.2, "ci_low": -0.3, "ci_high": -0.1},
         ]
     ).assign(scenario="cart/white", signal="position", metric="mae", cell=[0, 1])
-    lines = printed(lambda console: results.closing(Results(table, pairs), console, "mae")).splitlines()
+    lines = capture(lambda console: results.closing(Results(table, pairs), console, "mae")).splitlines()
     order = [word for line in lines for word in line.split() if word in ("worse", "better", "lost")]
     assert order == ["better", "worse", "lost", "worse", "better", "lost"]
     assert "20 % (19 .. 21)" in "\n".join(lines)
@@ -182,6 +182,6 @@ def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
 
 
 def test_table_spells_out_acronyms_of_papers_once():
-    text = printed(lambda screen: screen.explain_acronyms(["kf", "pccebo-riccati", "pccebo", "smo"]))
+    text = capture(lambda screen: screen.explain_acronyms(["kf", "pccebo-riccati", "pccebo", "smo"]))
     assert text == "pccebo: piecewise continuous and current estimator-based observer; smo: sliding-mode observer.\n"
-    assert not printed(lambda screen: screen.explain_acronyms(["kf", "model-only"]))
+    assert not capture(lambda screen: screen.explain_acronyms(["kf", "model-only"]))

@@ -51,7 +51,7 @@ def aim(t):
 STATE = np.array([1.2, 0.7, 0.3, -0.4])
 
 
-def clipped(u):
+def clip(u):
     return np.clip(u, -np.array(GIVEN["limit"]), GIVEN["limit"])
 
 
@@ -62,7 +62,7 @@ def test_it_pulls_towards_the_path_of_now_and_damps_the_rate_within_its_limits(k
     for size in (1.0, 30.0):
         x = np.concatenate([target, rate]) + size * (STATE - 1)
         want = -np.array(GIVEN["Kp"]) * (x[:2] - target) - np.array(GIVEN["Kd"]) * (x[2:] - rate)
-        np.testing.assert_allclose(command(options, params, k, [*x, *VISCOUS]), clipped(want), rtol=1e-12)
+        np.testing.assert_allclose(command(options, params, k, [*x, *VISCOUS]), clip(want), rtol=1e-12)
     np.testing.assert_array_equal(pd.controller(options).target(params, jnp.asarray(k)), target)
 
 
@@ -90,7 +90,7 @@ def test_the_prediction_ends_when_the_command_acts_and_not_at_a_whole_tick(k):
         x, at = solve_ivp(rate, (0, length), x, rtol=1e-11, atol=1e-12).y[:, -1], at + 1
     assert sigma / DT % 1 > 0.05, "the last piece is a part of a tick"
     target, rates, _ = aim(sigma)
-    want = clipped(-np.array(GIVEN["Kp"]) * (x[:2] - target) - np.array(GIVEN["Kd"]) * (x[2:] - rates))
+    want = clip(-np.array(GIVEN["Kp"]) * (x[:2] - target) - np.array(GIVEN["Kd"]) * (x[2:] - rates))
     got = command(options, params, k, [*STATE, *VISCOUS], coming)
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-8)
     assert np.abs(want - command(*params_of(), k, [*STATE, *VISCOUS])).max() > 0.01, "it is another than without"
@@ -110,6 +110,6 @@ def test_before_0_the_law_is_that_of_the_estimate_of_0_on_the_path_of_its_own_ti
     for tick in (-ROWS, -1):
         when = pd.acts_at(np.array([tick * DT]), delay)[0] if predicts else tick * DT
         target, rate, _ = aim(when)
-        want = clipped(-np.array(GIVEN["Kp"]) * (STATE[:2] - target) - np.array(GIVEN["Kd"]) * (STATE[2:] - rate))
+        want = clip(-np.array(GIVEN["Kp"]) * (STATE[:2] - target) - np.array(GIVEN["Kd"]) * (STATE[2:] - rate))
         got = pd.controller(options).before(params, jnp.asarray(tick), jnp.asarray([*STATE, *VISCOUS]))
         np.testing.assert_allclose(got, want, rtol=1e-12)

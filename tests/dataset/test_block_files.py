@@ -70,7 +70,7 @@ def dataset(tmp_path_factory):
     return out
 
 
-def damaged(dataset, tmp_path, change):
+def damage(dataset, tmp_path, change):
     """What is found wrong with a block that was changed."""
     place, b = storage.target(dataset), block_files.present(storage.target(dataset))[0]
     cell = block_files.about(block_files.read_block(place, b))["cell"]
@@ -87,7 +87,7 @@ def damaged(dataset, tmp_path, change):
 @pytest.mark.ci
 @pytest.mark.parametrize("keep", [0, 4, 100, -1, -8])
 def test_a_file_cut_short_is_damaged(dataset, tmp_path, keep):
-    assert damaged(dataset, tmp_path, lambda content: content[:keep])
+    assert damage(dataset, tmp_path, lambda content: content[:keep])
 
 
 @pytest.mark.ci
@@ -102,7 +102,7 @@ def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, whe
         changed[int(where * len(changed))] ^= 1 << bit
         return bytes(changed)
 
-    if damaged(dataset, tmp_path, flip) is None:
+    if damage(dataset, tmp_path, flip) is None:
         b = block_files.present(storage.target(tmp_path))[0]
         found, want = (
             block_files.read_block(storage.target(tmp_path), b),
@@ -155,12 +155,12 @@ CHANGES = {
 
 
 def test_a_number_that_was_changed_is_damage(dataset, tmp_path):
-    assert damaged(dataset, tmp_path, unsealed) == "its rows are not those that were written"
+    assert damage(dataset, tmp_path, unsealed) == "its rows are not those that were written"
 
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_block_that_is_another_than_its_name_says_is_damaged(dataset, tmp_path, change):
-    assert damaged(dataset, tmp_path, rewritten(CHANGES[change]))
+    assert damage(dataset, tmp_path, rewritten(CHANGES[change]))
 
 
 def test_a_table_that_is_no_block_is_named(dataset, tmp_path):

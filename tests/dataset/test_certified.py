@@ -29,7 +29,7 @@ def out(tmp_path_factory):
     return here / "out"
 
 
-def shown(show, *what):
+def rendered_text(show, *what):
     """What a person reads."""
     console = Screen(record=True, width=140)
     show(*what, console)
@@ -63,13 +63,13 @@ def test_the_tables_say_whether_gains_are_certified(out):
 @pytest.mark.ci
 def test_every_table_for_a_person_marks_what_nothing_proves(out):
     result = pcbench.open_result(out)
-    closing = shown(lambda console: results.closing(result, console, "steady_rmse"))
+    closing = rendered_text(lambda console: results.closing(result, console, "steady_rmse"))
     assert "* No certificate for the gains of nudge (by hand)." in closing
     (table,) = headline.headlines(result, "cart/slow", "position", "steady_rmse")
-    state = shown(folder.status, verify.status(out), "out")
+    state = rendered_text(folder.status, verify.status(out), "out")
     found = compare(out, out)
     rows = found.rows[found.rows.observer != "model-only"].assign(changed=True)  # few enough to be all shown
-    changed = shown(folder.comparison, found._replace(rows=rows), "there", "here")
+    changed = rendered_text(folder.comparison, found._replace(rows=rows), "there", "here")
     for text in (closing, "\n".join(row.cells[0] + " " for row in table.rows), state, changed):
         assert "nudge * " in text
         assert "kfbo *" not in text

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 from commands import call
 from scipy.stats import ttest_ind_from_stats
-from small_study import STUDY, sealed_again
+from small_study import STUDY, reseal
 
 import pcbench
 from pcbench.dataset import compare, merge, parquet_io, storage
@@ -47,7 +47,7 @@ def change(out, column, factor, rows):
     storage.write_table(
         place, "stats.parquet", table.set_column(i, table.schema.field(i), pa.array(values, pa.float64()))
     )
-    sealed_again(out)
+    reseal(out)
 
 
 @pytest.mark.ci
@@ -218,7 +218,7 @@ def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy
 
 def test_releases_and_devices_that_differ_are_said(whole, copy):
     versions = json.loads((copy / "provenance.json").read_text())["versions"]
-    sealed_again(copy, versions=versions | {"jax": "0.0.1"}, wall_seconds=-1.0)
+    reseal(copy, versions=versions | {"jax": "0.0.1"}, wall_seconds=-1.0)
     (phrase,) = compare.compare(whole, copy).made_by
     assert phrase.startswith("versions.jax: ")
     assert phrase.endswith("there, 0.0.1 here")

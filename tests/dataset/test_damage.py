@@ -19,7 +19,7 @@ from pcbench.errors import UserError
 from pcbench.plots import one_run
 
 
-def told(done, code=2):
+def assert_one_sentence(done, code=2):
     """One sentence and no traceback."""
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr + done.stdout
@@ -32,8 +32,8 @@ def told(done, code=2):
 )
 def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     (copy / "provenance.json").write_text(text)
-    assert "provenance.json: is damaged; run the study again" in told(call("report", copy))
-    told(call("compare", whole, copy))
+    assert "provenance.json: is damaged; run the study again" in assert_one_sentence(call("report", copy))
+    assert_one_sentence(call("compare", whole, copy))
     found = verify.status(copy)
     assert not found.closed
     assert found.damaged == ["provenance.json"]
@@ -106,11 +106,11 @@ def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut)
     block.write_bytes(block.read_bytes()[:-cut])
     name = str(block.relative_to(copy))
     for words in (["report", copy], ["compare", whole, copy], ["merge", copy, whole, "--out", copy / "m"]):
-        assert name in told(call(*words)), words
+        assert name in assert_one_sentence(call(*words)), words
     done = call("status", copy)
     assert done.returncode == 1
     assert name in done.stdout
-    assert told(call("verify", copy, "--sample", "0"), 1) == ""
+    assert assert_one_sentence(call("verify", copy, "--sample", "0"), 1) == ""
     pcbench.run(STUDY, out=copy)
     same(whole, copy)
 
@@ -142,7 +142,7 @@ def test_a_flipped_bit_in_a_page_is_not_drawn(copy):
 def test_a_block_of_more_seeds_than_there_can_be_is_none(copy, last):
     folder = copy / "runs" / "scenario=cart%2Fslow" / "observer=kfbo"
     (folder / f"cell-00000-seeds-0000000000-{last}.parquet").write_bytes(b"PAR1")
-    assert "is no block of a study" in told(call("status", copy))
+    assert "is no block of a study" in assert_one_sentence(call("status", copy))
     assert block_files.block_of(f"runs/scenario=s/observer=o/cell-00000-seeds-0000000009-{3:010d}.parquet") is None
 
 
@@ -189,7 +189,7 @@ def test_verify_says_where_the_study_is_not_the_one_that_was_run(copy):
 
 def test_a_pipe_is_no_study(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
-    assert "cannot be read (it is no file)" in told(call("run", tmp_path / "pipe.toml"))
+    assert "cannot be read (it is no file)" in assert_one_sentence(call("run", tmp_path / "pipe.toml"))
 
 
 @pytest.mark.ci
@@ -203,6 +203,6 @@ def test_a_mark_of_the_byte_order_is_no_mistake(tmp_path):
 def test_an_empty_name_is_no_folder_and_leaves_nothing(command, whole, tmp_path):
     words, before = command.format(whole, whole).split(), set(whole.rglob("*"))
     words += ["", "--quiet"] if "--figures" in words else ["--out", ""]
-    assert "got an empty name" in told(call(*words, cwd=tmp_path))
+    assert "got an empty name" in assert_one_sentence(call(*words, cwd=tmp_path))
     assert list(tmp_path.iterdir()) == []
     assert set(whole.rglob("*")) == before

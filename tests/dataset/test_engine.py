@@ -123,7 +123,7 @@ def test_a_trace_has_heavy_observers_and_others_whatever_the_engine(engine):
     assert {"kf.x1", "particle.x1"} <= set(found.columns)
 
 
-def kept(out):
+def stored_runs(out):
     return pcbench.open_result(out).runs.set_index(KEYS).sort_index()
 
 
@@ -137,7 +137,7 @@ def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_pa
     assert (report.duplicates, report.missing) == (3, 0)
     both = pcbench.open_result(tmp_path / "both")
     assert both.provenance["engines"] == ["definition", "steps"]
-    mine, a, b = kept(tmp_path / "both"), kept(first), kept(second)
+    mine, a, b = stored_runs(tmp_path / "both"), stored_runs(first), stored_runs(second)
     pd.testing.assert_frame_equal(mine.loc[a.index], a, check_exact=True)
     rest = b.index.difference(a.index)
     pd.testing.assert_frame_equal(mine.loc[rest], b.loc[rest], check_exact=True)

@@ -91,7 +91,7 @@ def here(made, tmp_path, monkeypatch):
     return tmp_path
 
 
-def edited(here, change):
+def edit(here, change):
     """Change the study of the dataset."""
     for name in ("ds", "ds2"):
         path = here / name / "study.toml"
@@ -113,7 +113,7 @@ def sentence_of(name, words):
 @pytest.mark.parametrize("reference", ["evil_module.py:sc", "evil_module:sc"])
 @pytest.mark.parametrize("place", PLACES)
 def test_reading_a_dataset_runs_no_code_that_its_study_names(here, place, reference, capsys):
-    edited(here, lambda study: PLACES[place](study, reference))
+    edit(here, lambda study: PLACES[place](study, reference))
     refused = "scenario" in place or place in ("base of tables", "plant of tables")
     for name in [name for name in READS if refused or name not in SLOW]:
         sentence = sentence_of(name, READS[name])
@@ -150,7 +150,7 @@ def test_reading_a_dataset_opens_no_file_that_its_study_names(here, place, monke
     opened = []
     monkeypatch.setattr(readers, "open_log", lambda *given: opened.append(given))
     monkeypatch.setattr(lti_inputs, "_read", lambda path: opened.append(path))
-    edited(here, FILES[place])
+    edit(here, FILES[place])
     for name, words in READS.items():
         sentence = sentence_of(name, words)
         assert re.match(r"ds2?/study.toml: .*(put|delay): got '.*private.*', expected numbers", sentence, re.I), name
@@ -170,7 +170,7 @@ def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):
 
     offered = {"theirs": registry.PackagePlugin("evil_module:sc", "theirs")}
     monkeypatch.setattr(registry, "find_plugins", lambda kind: offered if kind == "scenario" else {})
-    edited(here, lambda study: study["scenarios"].append("theirs"))
+    edit(here, lambda study: study["scenarios"].append("theirs"))
     assert "expected a table" in sentence_of("status", ["ds"])
     assert not (here / "MARK").exists()
 

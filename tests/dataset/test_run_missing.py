@@ -26,7 +26,7 @@ CLOSED = {
 }
 
 
-def planned(study, place):
+def plan_runs(study, place):
     """What is planned of a study."""
     owned = manifest.claim(place, parse.grid_of(study | {"seeds": 2}, {}, []))
     wanted = run_missing.required_seeds(owned, [])
@@ -67,7 +67,7 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
         monkeypatch.setattr(run_missing, "DRAFTS", room)
         made.clear()
         with config.float64():
-            plan = planned(study, storage.target(tmp_path / "out"))
+            plan = plan_runs(study, storage.target(tmp_path / "out"))
             tasks = [t for t in plan.tasks(plan.programs()) if not t.timed]
         many = len(study["axes"]["noise_std"]) * (len(study["observers"]) if study is CLOSED else 1)
         assert len(tasks) == many
@@ -87,7 +87,7 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
 def test_schedules_of_cells_that_differ_in_period_are_fitted_each(tmp_path):
     study = OPEN | {"axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 0.2]}}
     with config.float64():
-        plan = planned(study, storage.target(tmp_path / "out"))
+        plan = plan_runs(study, storage.target(tmp_path / "out"))
         a, b, c, d = (t.parcel.problem.schedule for t in plan.tasks(plan.programs()) if not t.timed)
     assert a is b
     assert c is d

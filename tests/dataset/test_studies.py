@@ -13,7 +13,7 @@ from pcbench.dataset import executors, task, verify
 from pcbench.errors import UserError
 
 
-def counted(monkeypatch):
+def count_tasks(monkeypatch):
     """Count the tasks that are done from now on."""
     done, before = [], task.compute
     monkeypatch.setattr(task, "compute", lambda *a: done.append(a[1]) or before(*a))
@@ -21,7 +21,7 @@ def counted(monkeypatch):
 
 
 def test_a_finished_study_is_not_done_again(copy, monkeypatch):
-    before, done = tables(copy), counted(monkeypatch)
+    before, done = tables(copy), count_tasks(monkeypatch)
     result = pcbench.run(STUDY, out=copy)
     assert not done
     assert tables(copy) == before
@@ -31,7 +31,7 @@ def test_a_finished_study_is_not_done_again(copy, monkeypatch):
 @pytest.mark.ci
 @pytest.mark.parametrize("keep", [0, 1, 5, 11])
 def test_what_is_missing_is_done_and_nothing_else(copy, keep, monkeypatch):
-    want, done = tables(copy), counted(monkeypatch)
+    want, done = tables(copy), count_tasks(monkeypatch)
     files = sorted((copy / "runs").rglob("*.parquet"))
     for path in np.random.default_rng(keep).permutation(np.array(files, object))[keep:]:
         path.unlink()

@@ -154,19 +154,19 @@ def test_every_metric_has_its_own_unit(done):
     ]  # fmt: skip
 
 
-def hashed(chosen):
+def hash_study(chosen):
     return serialize.digest(chosen, grid.cells_of(chosen))
 
 
 def test_the_study_on_disk_can_be_run_again(done):
     again = parse.load(str(done.out / "study.toml"))
-    assert hashed(again) == hashed(done.study)
+    assert hash_study(again) == hash_study(done.study)
     assert tomllib.loads((done.out / "study.toml").read_text())["resolved"]["options"]["cart/slow"]["kfbo"]["R"] == 0.3
 
 
 def test_provenance_says_what_made_the_numbers(done):
     found = json.loads((done.out / "provenance.json").read_text())
-    assert found["study_sha256"] == hashed(done.study)
+    assert found["study_sha256"] == hash_study(done.study)
     assert {"versions", "device", "precision", "root_seed", "git", "wall_seconds", "compile_seconds"} <= set(found)
     assert found["precision"] == "float64"
 

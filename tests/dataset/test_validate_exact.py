@@ -60,13 +60,13 @@ def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
     assert (found.deviation > validate_exact.ROUNDING).tolist() == [False, False, False, True, True]
 
 
-def checked(z):
+def validation(z):
     table = rows(mean=list(1 + 0.1 * np.asarray(z)), se=[0.1] * len(z), exact=[1.0] * len(z), n=[10**6] * len(z))
     return validate_exact.ExactValidation(table, [], 4.0)
 
 
 def test_the_verdict_names_what_chance_does_not_allow():
-    good, bad = checked([0.5, -2.5, 1.0, 0.1]), checked([0.5, 5.0])
+    good, bad = validation([0.5, -2.5, 1.0, 0.1]), validation([0.5, 5.0])
     assert good.wrong.empty
     assert "25 % of |z| above 2" in good.verdict
     assert "none differs more than chance allows" in good.verdict
@@ -75,7 +75,7 @@ def test_the_verdict_names_what_chance_does_not_allow():
 
 
 def test_the_quantile_plot_has_a_point_for_every_mean():
-    (ax,) = plots.quantiles(checked([0.5, -2.5, 1.0])).axes
+    (ax,) = plots.quantiles(validation([0.5, -2.5, 1.0])).axes
     points = np.vstack([c.get_offsets() for c in ax.collections])
     np.testing.assert_allclose(sorted(points[:, 1]), [-2.5, 0.5, 1.0], rtol=1e-4)
     np.testing.assert_allclose(sorted(points[:, 0]), norm.ppf([1 / 6, 0.5, 5 / 6]), atol=1e-12)

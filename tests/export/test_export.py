@@ -36,15 +36,15 @@ def test_late_lost_and_out_of_sequence_samples_are_used_as_in_the_simulation(nam
     packets = [int(packet) for _, packet in events]
     assert packets != sorted(packets), "some samples overtake others"
     assert set(range(max(packets))) - set(packets), "some are lost"
-    assert exports.off(found, exports.ran(found)) < DOUBLE
+    assert exports.off(found, exports.program_output(found)) < DOUBLE
 
 
 @pytest.mark.nightly  # and .ci/smoke runs it with the newest and the lowest versions
 @pytest.mark.parametrize("name", EXPORTED)
 def test_a_published_scenario_is_replayed_to_rounding(name):
     found = exports.of(name)
-    assert exports.off(found, exports.ran(found)) < DOUBLE
-    single = files.parse_replay(exports.ran(found, single=True))
+    assert exports.off(found, exports.program_output(found)) < DOUBLE
+    single = files.parse_replay(exports.program_output(found, single=True))
     assert all(np.isfinite(line.differs) and line.differs > 0 for line in single.values()), "float is not double"
 
 
@@ -53,7 +53,7 @@ def test_a_published_scenario_is_replayed_to_rounding(name):
 def test_products_and_bytes_are_those_of_the_cost_column(name):
     found = exports.of(name)
     cost = pcbench.operation_counts(exports.HOMES.get(name, "cart/white"), observers=[name]).iloc[0]
-    numbers = [int(n) for n in re.findall(r"\d+", exports.ran(found).splitlines()[-1])]
+    numbers = [int(n) for n in re.findall(r"\d+", exports.program_output(found).splitlines()[-1])]
     products = numbers[3:] or [0, 0]
     assert (products[0], products[1]) == (cost["sample"], cost["tick"])
     assert 0 <= numbers[0] - cost["memory"] < 24, "numbers, and what is put behind flags to align those that follow"
@@ -156,7 +156,7 @@ def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
         files.export_observer("cart/white", "kf")
 
 
-def _compiled(f, *given):
+def _compile(f, *given):
     """A function of float vectors as C, called at some of them."""
     w = Writer()
     args = [array_entries(f"x{i}", np.shape(a)) for i, a in enumerate(given)]
@@ -189,7 +189,7 @@ def test_a_program_of_jax_is_the_same_in_c(f, tmp_path):
     if files.compiler() is None:
         pytest.skip("there is no C compiler here: install one, for this to be tested")
     x = np.array([0.61, 0.37, 0.83, 0.29])
-    w, size = _compiled(f, x)
+    w, size = _compile(f, x)
     from pcbench.export.c_files import PRELUDE
 
     lines = "\n".join(w.lines)

@@ -143,7 +143,7 @@ def _recording(folder):
 def test_c_of_recording_equals_its_replay(name, tmp_path):
     log = _recording(tmp_path / "flight")
     found = files.export_observer(MOTOR, name, log=log)
-    assert exports.off(found, exports.ran(found)) < 1e-12
+    assert exports.off(found, exports.program_output(found)) < 1e-12
     assert "unknown" not in found.files["main.c"]
     assert found.about.oldest >= 70
 
@@ -155,4 +155,4 @@ def test_c_without_room_for_recording_is_not_silent(tmp_path):
     narrow, wide = files.export_observer(MOTOR, "kf"), files.export_observer(MOTOR, "kf", log=log)
     mixed = narrow._replace(files=narrow.files | {"vector.h": wide.files["vector.h"]})
     with pytest.raises(files.UserError, match=r"\d+ measurements are older than the room of kf"):
-        exports.ran(mixed)
+        exports.program_output(mixed)

@@ -248,7 +248,7 @@ def test_covariance_of_correlated_noise_is_whole(tmp_path):
     np.testing.assert_allclose(cell["R"], [[0.09, 0.03], [0.03, 0.04]], rtol=1e-12)
 
 
-def _estimated(tmp_path, text):
+def _estimates(tmp_path, text):
     """What an external estimator makes of one run without delay, and what `kf` does."""
     (tmp_path / "mine.py").write_text(text)
     export_draws.write(parse.grid_of(dict(NOW), {}, []), tmp_path / "out")
@@ -260,14 +260,14 @@ def _estimated(tmp_path, text):
 
 @pytest.mark.ci
 def test_a_kalman_filter_of_ten_lines_is_kf_where_nothing_is_late(tmp_path):
-    theirs, ours = _estimated(tmp_path, KALMAN)
+    theirs, ours = _estimates(tmp_path, KALMAN)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 
 @pytest.mark.ci
 def test_filterpys_filter_is_kf_where_nothing_is_late(tmp_path):
     pytest.importorskip("filterpy", reason="filterpy is not installed: pip install filterpy")
-    theirs, ours = _estimated(tmp_path, FILTERPY)
+    theirs, ours = _estimates(tmp_path, FILTERPY)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
 
 

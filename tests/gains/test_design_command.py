@@ -47,7 +47,7 @@ PROMISES = {
 ALWAYS = ("rate", "margin", "solver", "fallback", "certified", "refused")  # columns of a trade-off
 
 
-def written(observer, scenario, **how):
+def design_study(observer, scenario, **how):
     with config.float64():
         study, cell, found = design.design(scenario, observer, **how)
         return design.as_study(study, cell, observer, found), found
@@ -57,7 +57,7 @@ def written(observer, scenario, **how):
 def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_path):
     scenario = IN.get(observer, "cart/variable")
     scenario = "cart/gaussian" if observer == "kfbo" else scenario
-    table, found = written(observer, scenario)
+    table, found = design_study(observer, scenario)
     assert bool(np.isfinite(found.certificate.rate)) == (observer in PROMISES)
     assert found.certificate.rate > 0 or not np.isfinite(found.certificate.rate)
     path = tmp_path / "design.toml"
@@ -103,7 +103,7 @@ WAYS = [
 @pytest.mark.parametrize(("observer", "scenario", "method", "options"), WAYS)
 def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, scenario, method, options):
     changes = [f"options.{observer}.{name}={value}" for name, value in options.items()]
-    table, found = written(observer, scenario, gain=method, overrides=changes)
+    table, found = design_study(observer, scenario, gain=method, overrides=changes)
     again = pcbench.design({k: v for k, v in table.items() if k != "resolved"}, observer)
     same(found, again)
     if "decay" in options:
@@ -113,7 +113,7 @@ def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, sc
 
 def test_a_design_that_is_read_back_promises_nearly_the_decay_that_was_asked_and_keeps_other_options():
     changes = ["options.pccebo.decay=1.0", "options.scenario.initial_spread=0.2", "options.kf.R=3.0"]
-    table, _ = written("pccebo", "cart/gaussian", gain="h2", overrides=changes)
+    table, _ = design_study("pccebo", "cart/gaussian", gain="h2", overrides=changes)
     assert table["options"]["pccebo"]["decay"] == pytest.approx(0.999)
     assert set(table["options"]["pccebo"]) >= {"L", "decay"}
     assert table["options"]["scenario"] == {"initial_spread": 0.2}

@@ -45,7 +45,7 @@ LOOP = {
 OWN = {"name": "own", "lti": LOOP["lti"] | {"input": "sine"}}
 
 
-def asked(study, observer, objective, signal=None, only=None):
+def evaluator_and_start(study, observer, objective, signal=None, only=None):
     """What evaluates an exact objective, and where it starts."""
     study, cell = parse.one_cell(study, [observer], [])
     observer = label_of(observer)
@@ -86,7 +86,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     step, there, way = 1e-5, np.array(L), np.array([[0.4, -0.3], [1.0, 0.2], [-0.6, 0.7]])
     up, down = by_impulses(there + step * way), by_impulses(there - step * way)
     with config.float64():
-        evaluate, start = asked(STUDY, "pccebo", metric, "b")
+        evaluate, start = evaluator_and_start(STUDY, "pccebo", metric, "b")
         value, slope = evaluate(start)
     assert value == pytest.approx(of(*by_impulses(there)), rel=1e-10)
     apart = (of(*up) - of(*down)) / (2 * step)
@@ -97,7 +97,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
 def test_a_loops_gradient_is_that_of_its_values():
     """Where tuning by runs has none."""
     with config.float64():
-        evaluate, start = asked(LOOP, "kf", "pooled_rmse")
+        evaluate, start = evaluator_and_start(LOOP, "kf", "pooled_rmse")
         _, slope = evaluate(start)
         step = 1e-4
         apart = [
@@ -110,7 +110,7 @@ def test_a_loops_gradient_is_that_of_its_values():
 @pytest.mark.ci
 def test_a_gain_of_zero_has_its_slope_though_a_tick_is_the_same_without_it():
     with config.float64():
-        evaluate, start = asked(OWN, f"{Path(follower.__file__)}:follow", "mse")
+        evaluate, start = evaluator_and_start(OWN, f"{Path(follower.__file__)}:follow", "mse")
         slope, step = evaluate(start)[1], 1e-6
         apart = (evaluate(start + step)[0] - evaluate(start - step)[0]) / (2 * step)
     assert start == 0
@@ -118,7 +118,7 @@ def test_a_gain_of_zero_has_its_slope_though_a_tick_is_the_same_without_it():
     assert abs(apart) > 1e-3
 
 
-def refused(*words, **changes):
+def refusal(*words, **changes):
     with pytest.raises(UserError) as caught:
         pcbench.tune(*words, exact_objective=True, **changes)
     said = str(caught.value)
@@ -127,18 +127,18 @@ def refused(*words, **changes):
 
 
 def test_what_has_no_exact_value_says_so_and_what_to_do():
-    assert "rmse, which has no exact value (the mean of a root" in refused("cart/slow", "pccebo", objective="rmse")
-    assert "steady_max_abs_error, which has no exact value" in refused(
+    assert "rmse, which has no exact value (the mean of a root" in refusal("cart/slow", "pccebo", objective="rmse")
+    assert "steady_max_abs_error, which has no exact value" in refusal(
         "cart/slow", "pccebo", objective="steady_max_abs_error"
     )
-    assert "kf has samples of which 10 % are outliers, whose noise is not normal; tune on runs instead" in refused(
+    assert "kf has samples of which 10 % are outliers, whose noise is not normal; tune on runs instead" in refusal(
         "cart/gaussian", "kf", overrides=["axes.outlier_probability=0.1"]
     )
-    assert "particle keeps 1,802 numbers, where exact moments follow the covariance of at most 1,024" in refused(
+    assert "particle keeps 1,802 numbers, where exact moments follow the covariance of at most 1,024" in refusal(
         "cart/gaussian", "particle"
     )
-    assert "an expected value needs no runs" in refused("cart/slow", "pccebo", training_seeds=(0, 8))
-    random = refused("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
+    assert "an expected value needs no runs" in refusal("cart/slow", "pccebo", training_seeds=(0, 8))
+    random = refusal("cart/slow", "pccebo", overrides=["axes.delay_jitter=0.1"])
     assert random.endswith("expected the same for all runs, as a gradient is for one schedule; "
                            "tune on runs instead (exact_objective = false).")  # fmt: skip
 
@@ -157,7 +157,7 @@ def test_a_mean_size_has_an_exact_value_of_normal_errors_alone():
 @pytest.mark.ci
 def test_an_observer_that_is_not_affine_is_tuned_on_runs():
     steps = {"options": {"follow_by_steps": {"L": 0.1}}}
-    said = refused(OWN | steps, f"{Path(follower.__file__)}:follow_by_steps")
+    said = refusal(OWN | steps, f"{Path(follower.__file__)}:follow_by_steps")
     assert "follow_by_steps is not affine in the noise: a is off by" in said
     assert said.endswith("tune on runs instead (exact_objective = false).")
 

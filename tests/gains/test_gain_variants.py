@@ -32,7 +32,7 @@ FAIR = {
 }
 
 
-def prepared(**changes):
+def prepare(**changes):
     with config.float64():
         return gain_variants.prepare(parse.grid_of(FAIR | changes, {}, []), None, False)
 
@@ -44,7 +44,7 @@ def test_paper_is_what_stands_there():
 
 def test_two_versions_of_every_observer_that_has_a_design_of_its_own():
     names = ["pccebo", "kfbo", "pco", "pi-pco", "kf", "model-only"]
-    made = prepared(
+    made = prepare(
         observers=names, scenarios=["cart/white"], tuning=["published", "design"], options={"pco": {"decay": 0.1}}
     )
     labels = [v.label for v in made.versions]
@@ -60,7 +60,7 @@ def test_two_versions_of_every_observer_that_has_a_design_of_its_own():
 
 
 def test_a_design_alone_keeps_names_and_takes_any_scenarios():
-    made = prepared(tuning="design", scenarios=["cart/white", "cart/variable"], observers=["pccebo", "pco", "kf"])
+    made = prepare(tuning="design", scenarios=["cart/white", "cart/variable"], observers=["pccebo", "pco", "kf"])
     assert made.study.observers == ["pccebo", "pco", "kf"]
     assert made.study.options["pccebo"] == {"gain": "riccati"}
     assert made.study.options["pco"] == {"Kp": "lmi"}
@@ -70,7 +70,7 @@ def test_a_design_alone_keeps_names_and_takes_any_scenarios():
 
 @pytest.mark.ci
 def test_tuning_records_its_cell_and_what_it_found():
-    made = prepared(tuning="tuned", axes={"noise_std": [0.3, 0.1]}, options={}, observers=["pccebo"])
+    made = prepare(tuning="tuned", axes={"noise_std": [0.3, 0.1]}, options={}, observers=["pccebo"])
     assert made.study.tuned.cell == {"noise_std": 0.3}
     (found,) = made.study.tuned.options.values()
     assert found
@@ -79,13 +79,13 @@ def test_tuning_records_its_cell_and_what_it_found():
         "The gains of pccebo were tuned for steady_pooled_rmse of position in cart/gaussian at noise_std = 0.3. "
         "The other grid points use the same gains."
     )
-    assert prepared(tuning="design").study.tuning_sentence is None
+    assert prepare(tuning="design").study.tuning_sentence is None
 
 
 EVERY_CELL = {"axes": {"noise_std": [0.3, 0.1]}, "tune": FAIR["tune"] | {"cells": "all"}}
 
 
-def found_by_noise(monkeypatch, without=()):
+def mock_tuning(monkeypatch, without=()):
     """Stand in for tuning: R is 100 times the standard deviation of the noise; in cells `without`, no start works."""
     folders = []
 
@@ -103,7 +103,7 @@ def found_by_noise(monkeypatch, without=()):
 @pytest.mark.ci
 def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
     """Each cell has its own options, whatever the order of the axes, and a study that was written reads them again."""
-    folders = found_by_noise(monkeypatch)
+    folders = mock_tuning(monkeypatch)
     grid = parse.grid_of(FAIR | EVERY_CELL | {"observers": ["kf"], "tuning": ["published", "tuned"]}, {}, [])
     with config.float64():
         made = gain_variants.prepare(grid, tmp_path / "out", False)
@@ -127,8 +127,8 @@ def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
 
 @pytest.mark.ci
 def test_a_cell_that_cannot_be_tuned_keeps_its_start_and_says_so(monkeypatch):
-    found_by_noise(monkeypatch, without=[0.1])
-    made = prepared(**EVERY_CELL, observers=["kf"], tuning="tuned")
+    mock_tuning(monkeypatch, without=[0.1])
+    made = prepare(**EVERY_CELL, observers=["kf"], tuning="tuned")
     assert made.grid.cells[0].options["kf"].R == 30.0
     assert made.grid.cells[1].options_digests != made.grid.cells[0].options_digests
     assert made.versions[0].note == "at noise_std = 0.1: the start has no finite value on the training runs"
@@ -198,7 +198,7 @@ def test_only_what_is_named_is_tuned_of_each_observer_that_has_it(monkeypatch):
         raise tune.NoStart("none")
 
     monkeypatch.setattr(tune, "tune", without_start)
-    made = prepared(observers=["pccebo", "kf"], seeds=2, tune=FAIR["tune"] | {"only": ["R"], "training": 2})
+    made = prepare(observers=["pccebo", "kf"], seeds=2, tune=FAIR["tune"] | {"only": ["R"], "training": 2})
     assert asked == [["R"]]
     assert [v.label for v in made.versions if v.tuning == "tuned"] == ["kf-tuned"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import call
-from documents import fenced
+from documents import code_blocks
 from hypothesis import given
 from hypothesis import strategies as st
 from interruptions import stop_tuning_at
@@ -100,7 +100,7 @@ def bowl(at):
     return (np.inf, np.full(2, np.nan)) if at.max() > 3 else (value, slope)
 
 
-def asked(way, start, budget, value_only=False):
+def evaluations(way, start, budget, value_only=False):
     """The points that a way asks for, with their values."""
     points = []
 
@@ -118,11 +118,11 @@ def asked(way, start, budget, value_only=False):
 )
 def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
     for way, alone, budget in ((optimizers.descent, False, 60), (optimizers.search, True, 150)):
-        points = asked(way, start, budget, alone)
+        points = evaluations(way, start, budget, alone)
         assert len(points) <= budget
         assert min(value for _, value in points) < 1e-5, way
-        assert len(asked(way, start, 5, alone)) <= 5
-        for (a, x), (b, y) in zip(points, asked(way, start, budget, alone), strict=True):
+        assert len(evaluations(way, start, 5, alone)) <= 5
+        for (a, x), (b, y) in zip(points, evaluations(way, start, budget, alone), strict=True):
             assert (a == b).all(), "the same again"
             assert x == y
 
@@ -241,7 +241,7 @@ def test_the_command_says_what_it_found(tmp_path):
 @pytest.mark.ci
 @pytest.mark.parametrize("observer", ["kf", "mine.py:nudge"])
 def test_the_printed_command_compares_what_was_tuned(observer, tmp_path):
-    (page,) = (b.text for b in fenced("your_own_observer.md") if b.title == "mine.py")
+    (page,) = (b.text for b in code_blocks("your_own_observer.md") if b.title == "mine.py")
     (tmp_path / "mine.py").write_text(page)
     words = ["--budget", "2", "--training-seeds", "0:4", "--validation-seeds", "4:8", "--out", "out"]
     done = call("tune", "cart/white", observer, *words, cwd=tmp_path)

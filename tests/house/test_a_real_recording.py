@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from documents import PAGES, blocks, commands, fenced, is_printed, tables
+from documents import PAGES, blocks, code_blocks, commands, is_printed, tables
 
 PAGE = "a_real_recording.md"
 
@@ -17,7 +17,7 @@ def printed(tmp_path_factory):
     """The folder after all blocks, and what every command printed, in their order."""
     folder, out, said = tmp_path_factory.mktemp("car"), {}, []
     there = {"cwd": folder, "text": True, "capture_output": True, "check": False}
-    for block in fenced(PAGE):
+    for block in code_blocks(PAGE):
         if block.title:
             (folder / block.title).write_text(block.text)
         for line in block.text.splitlines() if block.language == "sh" else ():
@@ -97,4 +97,4 @@ def test_filter_in_c_equals_the_replay(printed):
 
 def test_page_shows_every_kind_of_block():
     assert len(blocks("sh", PAGE)) == 6
-    assert [block.title for block in fenced(PAGE) if block.title] == ["car.toml"]
+    assert [block.title for block in code_blocks(PAGE) if block.title] == ["car.toml"]

@@ -84,10 +84,10 @@ def test_the_words_of_the_protocols_are_those_of_the_code():
 @pytest.mark.ci
 def test_counts_of_the_code_are_those_of_the_script():
     """Within 3 %, so that a small change leaves the page alone; then `python tests/support/counts.py` writes it."""
-    stated = counts.written(TEXT)
+    stated = counts.stated_counts(TEXT)
     assert list(stated) == ["pcbench", "tests"]
     for name, said in stated.items():
-        np.testing.assert_allclose(said, counts.counted(ROOT / name), rtol=0.03)
+        np.testing.assert_allclose(said, counts.count_files(ROOT / name), rtol=0.03)
 
 
 def test_the_folders_with_nightly_tests_are_listed():

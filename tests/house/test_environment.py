@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from small_study import sealed_again, tables
+from small_study import reseal, tables
 
 import pcbench
 from pcbench.dataset import block_files, storage, verify
@@ -82,7 +82,7 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
 
 
 def test_other_flags_are_among_what_compare_says(whole, copy):
-    sealed_again(copy, compiler="--xla_cpu_max_isa=SSE4_2")
+    reseal(copy, compiler="--xla_cpu_max_isa=SSE4_2")
     from pcbench.dataset import compare
 
     there = json.loads((whole / "provenance.json").read_text())["compiler"]

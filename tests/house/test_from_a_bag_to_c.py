@@ -13,7 +13,7 @@ import sys
 
 import pandas as pd
 import pytest
-from documents import PAGES, blocks, commands, fenced
+from documents import PAGES, blocks, code_blocks, commands
 
 from pcbench.errors import EXTRAS
 
@@ -33,7 +33,7 @@ def sitting(tmp_path_factory):
     """The folder behind the last step but the compiler's, and what every command has printed, by its name and number."""
     folder, said = tmp_path_factory.mktemp("sitting"), {}
     there = {"cwd": folder, "env": as_installed(tmp_path_factory.mktemp("missing")), "text": True}
-    for block in fenced(PAGE):
+    for block in code_blocks(PAGE):
         if block.title:
             (folder / block.title).write_text(block.text)
     bag, picture = blocks("python", PAGE)

@@ -17,7 +17,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES
 
 
-def named(page, begin):
+def code_words(page, begin):
     """What stands in code in the sentence of a page that begins so, on whatever lines."""
     (sentence,) = re.findall(rf"{re.escape(begin)}(.*?)[.:;](?:\s|$)", re.sub(r"\s+", " ", PAGES[page]))
     return re.findall(r"`([^`]+)`", sentence)
@@ -47,12 +47,12 @@ def observers(holds):
     ],
 )
 def test_the_observers_that_a_sentence_names_are_all_of_them(page, begin, holds):
-    assert sorted(named(page, begin)) == sorted(observers(holds))
+    assert sorted(code_words(page, begin)) == sorted(observers(holds))
 
 
 def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
     unproven = [name for name, proof in certificates().items() if proof.startswith("no,")]
-    assert sorted(named("limitations.md", "There is no certificate for")) == sorted(unproven)
+    assert sorted(code_words("limitations.md", "There is no certificate for")) == sorted(unproven)
 
 
 MISSING = re.compile(  # what says that something is missing
@@ -132,7 +132,7 @@ def test_comparison_counts_observers():
 
 
 def test_every_check_of_an_observer_is_named():
-    assert named("your_own_observer.md", "`check` tests") == [*observer.CHECKS, "closed loop"]
+    assert code_words("your_own_observer.md", "`check` tests") == [*observer.CHECKS, "closed loop"]
 
 
 def test_every_optional_function_of_an_observer_is_named():

@@ -9,7 +9,7 @@ import tomllib
 import pytest
 import typer
 from commands import call
-from documents import GUIDE, PAGES, README, ROOT, RUN, TEXTS, blocks, commands, fenced, prose
+from documents import GUIDE, PAGES, README, ROOT, RUN, TEXTS, blocks, code_blocks, commands, prose
 from logged import plain, rows
 from reference_pages import PAGES as REFERENCE
 
@@ -76,7 +76,7 @@ def test_every_study_is_whole_or_part_of_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where the logs are that a study names
     for log in ("lab", "field"):
         rows(tmp_path / log, plain())
-    for block in [b for name in RUN for b in fenced(name) if b.language == "python" and b.title]:
+    for block in [b for name in RUN for b in code_blocks(name) if b.language == "python" and b.title]:
         (tmp_path / block.title).write_text(block.text)
     for block in blocks("toml"):
         raw = tomllib.loads(block)

@@ -15,7 +15,7 @@ COMMANDS = {  # and what each of them does use of HEAVY, and of jax
 }
 
 
-def imported(words, cwd):
+def imports_of(words, cwd):
     """The modules that a command has imported when it ends."""
     code = (
         "import sys, pcbench.cli\n"
@@ -32,7 +32,7 @@ def imported(words, cwd):
 def test_a_command_imports_nothing_heavy_that_it_does_not_use(name, tmp_path):
     (tmp_path / "few.toml").write_text(tomli_w.dumps(FEW))
     words, uses = COMMANDS[name]
-    assert imported(words, tmp_path) & (HEAVY | {"jax"}) <= uses
+    assert imports_of(words, tmp_path) & (HEAVY | {"jax"}) <= uses
 
 
 @pytest.mark.ci

@@ -5,8 +5,8 @@ import subprocess
 import tomllib
 
 import pytest
-from commands import started
-from documents import README, ROOT, blocks, fenced
+from commands import start
+from documents import README, ROOT, blocks, code_blocks
 
 import pcbench
 from pcbench.cli.commands import ALL
@@ -52,9 +52,9 @@ def test_its_study_runs(tmp_path):
 def test_its_python_runs(tmp_path):
     (example,) = blocks("python", "README.md")
     assert len(example.splitlines()) <= 20
-    assert {b.title for b in fenced("README.md") if b.language == "python"} == {"pendulum.py"}
+    assert {b.title for b in code_blocks("README.md") if b.language == "python"} == {"pendulum.py"}
     (tmp_path / "pendulum.py").write_text(example)
-    done = started("pendulum.py", cwd=tmp_path)
+    done = start("pendulum.py", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "delay.png").stat().st_size > 10_000
     assert "ci_high" in done.stdout

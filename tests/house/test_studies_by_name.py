@@ -7,13 +7,15 @@ from itertools import pairwise
 
 import pytest
 from documents import commands
-from walked import AS_USERS_HAVE_IT, shortened, with_options
+from walked import AS_USERS_HAVE_IT, shorten, with_options
 from walked import STUDIES as SHORT
-from whole_studies import require_whole, run_by
+from whole_studies import require_whole, run_studies
 
 from pcbench.study import STUDIES, parse
 
-BY_A_PAGE = {study: page for page in AS_USERS_HAVE_IT for study in run_by(page)}  # in programs as a user has them too
+BY_A_PAGE = {
+    study: page for page in AS_USERS_HAVE_IT for study in run_studies(page)
+}  # in programs as a user has them too
 
 HEAVY = {  # programs compiled in a hurry take longer here
     "camera-target": pytest.mark.slow,
@@ -45,7 +47,7 @@ def test_its_short_form_has_every_scenario_and_observer(name):
 def test_a_page_runs_no_less_of_a_study_than_its_short_form(name):
     overrides = [word for flag, word in pairwise(short(name)) if flag == "--set"]
     (line,) = (words for words in map(shlex.split, commands(BY_A_PAGE[name])) if words[1:3] == ["run", name])
-    made = shortened(line[1:])
+    made = shorten(line[1:])
     assert [word for flag, word in pairwise(made) if flag == "--set"] == overrides
     assert STUDIES[name].evaluation == "exact" or int(made[made.index("--seeds") + 1]) >= 2
 

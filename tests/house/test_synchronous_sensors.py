@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from documents import PAGES, fenced, is_printed, lines, tables
+from documents import PAGES, code_blocks, is_printed, lines, tables
 from reference import leg
 from scipy.signal import welch
 
@@ -22,7 +22,7 @@ HALF_ROW = 0.5 / leg.RATE
 def printed(tmp_path_factory):
     """The folder after all blocks, and the JSON of each `tune` and `replay` by the name of its result."""
     folder, out = tmp_path_factory.mktemp("leg"), {}
-    for block in fenced(PAGE):
+    for block in code_blocks(PAGE):
         if block.title:
             (folder / block.title).write_text(block.text)
         for line in lines(block.text) if block.language == "sh" else ():
@@ -105,4 +105,4 @@ def test_least_squares_find_a_lag_of_whole_rows(columns, later):
 
 
 def test_page_shows_every_kind_of_block():
-    assert [block.title for block in fenced(PAGE) if block.title] == ["leg.toml", "late.toml", "hum.toml"]
+    assert [block.title for block in code_blocks(PAGE) if block.title] == ["leg.toml", "late.toml", "hum.toml"]

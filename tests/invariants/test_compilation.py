@@ -19,7 +19,7 @@ AXES = {
 }
 
 
-def planned(few=(), **axes):
+def plan(few=(), **axes):
     raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
     raw |= {"observers": list(few)} if few else {}
     chosen = parse.parse(raw, "axes")
@@ -29,7 +29,7 @@ def planned(few=(), **axes):
 @pytest.mark.ci
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
-        chosen, cells = planned(["kfbo", "kf"], **AXES)
+        chosen, cells = plan(["kfbo", "kf"], **AXES)
         done = list(run_local.execute(chosen, cells))
         assert runner.compilations() == 1
     assert len(done) == 24
@@ -54,7 +54,7 @@ def test_gains_are_traced():
 )
 def loops(request):
     """The text of every computation that the compiled loops run."""
-    _, (cell,) = planned()
+    _, (cell,) = plan()
     layout = cell.layout._replace(random_initial_state=request.param, width=runner.WIDTH)
     made = runner.program(layout, runner.Job(cell.problem, 0, np.arange(2)))
     text = made.call.as_text()
@@ -91,7 +91,7 @@ def test_lanes_differ_only_where_they_must():
 
     from pcbench.engine import initial_state, lane_array
 
-    _, (cell,) = planned()
+    _, (cell,) = plan()
     layout = cell.layout._replace(width=4)
     state = jax.eval_shape(
         lambda p: initial_state.initial_lanes(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem

@@ -47,7 +47,7 @@ STUDIES = {
 QUICK = "late and noisy"
 
 
-def written(value):
+def format_number(value):
     return "0" if abs(value) < 1e-9 else f"{value:.7e}"
 
 
@@ -55,7 +55,7 @@ def digest(study):
     runs = pcbench.run(study).runs
     metrics = [m for m in METRICS if m in runs]
     rows = runs.sort_values(["scenario", "observer", "cell", "seed", "signal"])
-    text = "\n".join(" ".join(map(written, row)) for row in rows[metrics].to_numpy(float))
+    text = "\n".join(" ".join(map(format_number, row)) for row in rows[metrics].to_numpy(float))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

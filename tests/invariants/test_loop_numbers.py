@@ -28,7 +28,7 @@ def noise_of_a_tick(A, R1, h):
     return whole[n:, n:].T @ whole[:n, n:]
 
 
-def whitened(A, B, C, h, **keys):
+def white_noise_scenario(A, B, C, h, **keys):
     """A continuous plant with noise through its input, as a scenario; and T."""
     T = np.linalg.cholesky(noise_of_a_tick(A, B @ B.T, h))
     back = np.linalg.inv(T)
@@ -53,7 +53,7 @@ def continuous(tau):
     return np.trace(S @ B @ B.T) + Q2[0, 0] * np.trace(L @ late @ L.T)
 
 
-def sampled(tau, h):
+def sampled_cost(tau, h):
     """The same with a measurement and a decision every h: the mean of x'Q1 x + u'Q2 u at these times."""
     A, B, C = MOTOR
     whole = expm(h * np.block([[A, B], [np.zeros((1, 3))]]))
@@ -69,11 +69,11 @@ def sampled(tau, h):
 @pytest.mark.parametrize("tau", LATE)
 def test_the_cost_of_a_late_measurement_is_the_printed_one_as_sampling_grows_fast(tau):
     assert continuous(tau) == pytest.approx(LATE[tau], abs=1e-6)
-    assert 2 * sampled(tau, 0.0025) - sampled(tau, 0.005) == pytest.approx(LATE[tau], abs=2e-4)
+    assert 2 * sampled_cost(tau, 0.0025) - sampled_cost(tau, 0.005) == pytest.approx(LATE[tau], abs=2e-4)
 
 
 def study(monkeypatch, h, delays, seeds, duration, steady_start=8.0):
-    s, T = whitened(
+    s, T = white_noise_scenario(
         *MOTOR,
         h,
         sampling_period=h,
@@ -97,7 +97,7 @@ def costs(*given):
 def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
     row = costs(monkeypatch, 0.05, [0.1], 256, 24.0).iloc[0]
     assert row["se"] < 0.03
-    assert row["mean"] == pytest.approx(sampled(0.1, 0.05), abs=4 * row["se"])
+    assert row["mean"] == pytest.approx(sampled_cost(0.1, 0.05), abs=4 * row["se"])
 
 
 @pytest.mark.nightly
@@ -107,8 +107,8 @@ def test_the_cost_of_lqg_without_seeds(monkeypatch):
     found = stats[stats.metric == "steady_lq_cost"].set_index("delay")
     assert (found.method == "exact").all()
     for tau, known in LATE.items():
-        assert found.loc[tau, "mean"] == pytest.approx(sampled(tau, 0.05), rel=1e-9)
-        each = [sampled(tau, 0.05 / 2**i) for i in range(6)]
+        assert found.loc[tau, "mean"] == pytest.approx(sampled_cost(tau, 0.05), rel=1e-9)
+        each = [sampled_cost(tau, 0.05 / 2**i) for i in range(6)]
         for order in (1, 2, 3, 4, 5):
             each = [(2**order * b - a) / (2**order - 1) for a, b in pairwise(each)]
         assert each[0] == pytest.approx(known, abs=1e-6)
@@ -119,7 +119,7 @@ def test_the_cost_of_lqg_with_a_late_measurement_at_every_delay(monkeypatch):
     found = costs(monkeypatch, 0.01, list(LATE), 1024, 60.0)
     for tau, row in found.iterrows():
         assert row["se"] < 0.012
-        assert row["mean"] == pytest.approx(sampled(tau, 0.01), abs=4 * row["se"])
+        assert row["mean"] == pytest.approx(sampled_cost(tau, 0.01), abs=4 * row["se"])
         assert row["mean"] == pytest.approx(LATE[tau], abs=4 * row["se"])
     assert (np.diff(found["mean"]) > 0).all()
 
@@ -164,7 +164,7 @@ def two_gains(T):
 def test_the_asynchronous_filter_costs_what_jittertime_computes(monkeypatch):
     h, seeds = 0.005, 4096
     keys = {"sampling_period": [0.15, 0.5], "delay": 0.0, "noise_std": [0.1**0.5, 0.1]}
-    s, T = whitened(*PENDULUM, h, **keys, duration=12 + h, steady_start=12.0)
+    s, T = white_noise_scenario(*PENDULUM, h, **keys, duration=12 + h, steady_start=12.0)
     monkeypatch.setitem(SCENARIOS, "loop", s)
     monkeypatch.setitem(OBSERVERS, "two-gains", two_gains(T))
     feedback = {"use": "state-feedback", "K": (FEEDBACK @ T).tolist(), "period": 0.15}

@@ -28,7 +28,7 @@ VARIANTS += [
 ]
 
 
-def expected(case, observer, options, u, samples):
+def reference_estimates(case, observer, options, u, samples):
     """The reference's xhat[N+1, n], with the gains of the design under test (gains have tests of their own)."""
     model = reference.Model(case.model.A, case.model.B, case.model.C, case.h)
     known = context_of(case)
@@ -79,7 +79,7 @@ def agree(case, observer, options, plant_step=None):
     size = np.abs(x).max()
     np.testing.assert_allclose(got.x, x, rtol=0, atol=1e-10 * size)
     np.testing.assert_allclose(
-        got.estimates[observer], expected(case, observer, options, u, samples), rtol=0, atol=1e-10 * size
+        got.estimates[observer], reference_estimates(case, observer, options, u, samples), rtol=0, atol=1e-10 * size
     )
 
 

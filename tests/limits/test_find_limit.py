@@ -183,14 +183,14 @@ def test_a_frontier_of_a_malformed_range_is_one_sentence(between):
         pcbench.find_limit("cart/slow", axis=["sampling_period", "noise_std"], between=between, threshold=1.0)
 
 
-def asked_of(study, axis):
+def axis_question(study, axis):
     raw = raw_of(study, [], FROM_HERE)
     return question(build_study(raw, "x", FROM_HERE), "x", axis, "rmse", None, 0.1)
 
 
 def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
     q, why = (
-        asked_of({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "kf"]}, "delay_jitter"),
+        axis_question({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "kf"]}, "delay_jitter"),
         refusals(),
     )
     grid = find_limit._grid(q, [0.0, 0.2], why)
@@ -200,7 +200,7 @@ def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
 
 
 def test_a_value_at_which_the_scenario_does_not_fit_together_is_left_out():
-    q, why = asked_of("cart/slow", "sampling_jitter"), refusals()
+    q, why = axis_question("cart/slow", "sampling_jitter"), refusals()
     assert [cell.scenario.sampling.sampling_jitter for cell in find_limit._grid(q, [0.1, 0.6], why).cells] == [0.1]
     assert "half the shortest interval" in why.values[0.6]
     with pytest.raises(UserError, match="half the shortest interval"):
@@ -210,12 +210,12 @@ def test_a_value_at_which_the_scenario_does_not_fit_together_is_left_out():
 def test_one_of_several_channels_is_varied_and_the_others_stay(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(TWO_CLOCKS)
-    q = asked_of(path, "delay[0]")
+    q = axis_question(path, "delay[0]")
     cells = find_limit._grid(q, [0.02, 0.06], refusals()).cells
     assert [cell.scenario.sampling.delay for cell in cells] == [(0.02, 0.02), (0.06, 0.02)]
     assert list(find_limit._by_value(q, cells)) == [0.02, 0.06]
     with pytest.raises(UserError, match=r"whose 2 numbers differ in lti .*write delay\[0\]"):
-        asked_of(path, "delay")
+        axis_question(path, "delay")
 
 
 @pytest.mark.parametrize(
@@ -278,9 +278,9 @@ def test_a_question_without_an_answer_is_one_sentence(name, tmp_path):
 def test_where_a_plant_decays_by_itself_it_is_said(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(TWO_CLOCKS.replace("process_std = [0.0, 0.02]", ""))
-    assert "the model alone wins in the end" in notes(asked_of(path, "delay[0]"))[-1]
+    assert "the model alone wins in the end" in notes(axis_question(path, "delay[0]"))[-1]
     path.write_text(TWO_CLOCKS)
-    assert len(notes(asked_of(path, "delay[0]"))) == 1
+    assert len(notes(axis_question(path, "delay[0]"))) == 1
 
 
 @pytest.mark.ci

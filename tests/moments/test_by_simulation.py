@@ -55,7 +55,7 @@ OBSERVER = Observer(
 PLANT = Plant(step=lambda params, now, x: A @ x + B @ now.u, output=lambda params, now, x: C @ x)
 
 
-def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
+def moment_sums(limit=np.inf, observer=OBSERVER, noise=NOISE):
     p = GridPointParams(
         (), {"o": L}, common_times.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([noise]), np.ones(2), np.full(2, 1e6), np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]),
@@ -69,10 +69,10 @@ def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
 
 @pytest.fixture(scope="module")
 def found(in_a_hurry):
-    return solved()
+    return moment_sums()
 
 
-def propagated():
+def propagate():
     """Sums over horizon and tail of E e^2, E (target - x)^2, the cost and E u^2."""
     x, xhat, last, before, packet = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8), slice(8, 9)
     eye = np.eye(9)
@@ -111,7 +111,7 @@ def propagated():
 @pytest.mark.ci
 def test_a_loop_with_everything_random_is_the_covariance_recursion(found):
     """1e-10: two ways of adding up 90 ticks in double precision."""
-    expected = propagated()
+    expected = propagate()
     np.testing.assert_allclose(found.square[..., 0], expected["e"], rtol=1e-10)
     np.testing.assert_allclose(found.tracking[..., 0], expected["off"], rtol=1e-10)
     np.testing.assert_allclose(found.cost[..., 0], expected["cost"], rtol=1e-10)
@@ -126,5 +126,5 @@ def test_runs_with_noise_are_where_the_directions_say(found):
 @pytest.mark.ci
 def test_a_command_that_saturates_is_found_out():
     """At eight times the noise it does, at the noise's own size it does not."""
-    s = solved(limit=2.0)
+    s = moment_sums(limit=2.0)
     assert (s.deviation / s.size).min() > 1e-3

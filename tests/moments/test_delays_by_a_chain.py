@@ -35,7 +35,7 @@ def by_impulses(seed, driven):
     clock = Clock((0, 1), TE, LATE, delay_values=tuple(STEPS), delay_self_transition=tuple(STAY))
     drawn = random_times.draw_samples([clock], N, 2, 0, seed)
     times = [[(s.tick, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
-    ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
+    ages = {arrives - taken for time in times for taken, arrives in time if arrives is not None}
     return mean_square(times, driven), ages
 
 
@@ -47,7 +47,7 @@ def mean_square(times, driven):
         x, samples = irregular.simulate(model, u, start, times, noise)
         return x - irregular.kf(model, u, samples, xhat0, P0, np.array(R))
 
-    counts = [len(each) for each in times]
+    counts = [len(time) for time in times]
     found = moments.error_map(error_of, driven, np.array(X0), np.array(XHAT0), counts)
     variance = np.diagonal(moments.covariance(found, np.repeat(NOISE, counts)), axis1=1, axis2=2)
     return np.mean((found.base**2 + variance)[:N], 0)

@@ -61,7 +61,7 @@ def law(name, p, M):
     return loop.Feedback(loop.lqr(Phi, Gamma, np.diag([10.0, 1.0]), np.array([[0.1]])), x_ref, u_ref, ahead=LATE)
 
 
-def expected(name):
+def reference_means(name):
     """By metric: means over the ticks of the horizon and of its tail."""
     p = plant()
     M = 1 + 2 + 2 * N + -(-N // SENSOR.every)
@@ -86,7 +86,7 @@ def expected(name):
 @pytest.mark.parametrize("name", list(CONTROLLERS))
 def test_exact_loop_agrees_with_superposition_and_with_its_runs(name, tmp_path):
     """1e-9, where 60 ticks in double precision leave 1e-13."""
-    exact, want = pcbench.exact_moments(study(name)).stats, expected(name)
+    exact, want = pcbench.exact_moments(study(name)).stats, reference_means(name)
     found = exact[exact.method == "exact"].set_index(["signal", "metric"])["mean"]
     assert {key: found[key] for key in want} == pytest.approx(want, rel=1e-9)
     stored = pcbench.run(study(name), evaluation="exact", out=tmp_path / "exact").stats

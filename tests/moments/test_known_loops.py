@@ -74,7 +74,7 @@ ZEROS, POLES, GAIN = np.roots([1.1, 1.01, 0.1]), np.array([0.0, -10.0]), 2.2
 J = [3.3955, 1.9329, 1.9910]
 
 
-def matched(h):
+def match_poles(h):
     """Numerator and denominator in z: zeros and poles go to e^{h s}, the gain is that at s = 0.1 / h."""
     zeros, poles, s = np.exp(h * ZEROS), np.exp(h * POLES), 0.1 / h
     known = GAIN * np.prod(s - ZEROS) / np.prod(s - POLES)
@@ -102,7 +102,7 @@ def test_ball_and_beam_at_three_rates():
     )  # fmt: skip
     rates = [(2 * SAME, 2 * SAME), (SAME, SAME), (2 * SAME, SAME)]
     cases = [
-        Case([inner, outer], (*matched(outer * ball.tick), np.asarray(outer), np.asarray(inner)))
+        Case([inner, outer], (*match_poles(outer * ball.tick), np.asarray(outer), np.asarray(inner)))
         for outer, inner in rates
     ]
     for P, known in zip(moments(ball, cases), J, strict=True):

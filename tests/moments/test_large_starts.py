@@ -33,7 +33,7 @@ def study(name, **more):
     } | more
 
 
-def expected(name):
+def reference_rms(name):
     """The root mean square [n] over the tail: P^-1 is P0^-1 and what each measurement that has arrived adds to it."""
     A, _, prior, _ = PLANTS[name]
     n, out = len(A), []
@@ -58,7 +58,7 @@ def test_exact_errors_keep_their_digits_beside_a_large_start(name):
     The last of them depend on the processor.
     """
     stats = pcbench.exact_moments(study(name)).stats
-    np.testing.assert_allclose(pooled(stats), expected(name), rtol=1e-9)
+    np.testing.assert_allclose(pooled(stats), reference_rms(name), rtol=1e-9)
     rtol = 1e-8 if name == "integrator" else 1e-5
     np.testing.assert_allclose(stats[stats.metric == "rms_efficiency"]["mean"], 1.0, rtol=rtol)
 
@@ -67,7 +67,7 @@ def test_exact_errors_keep_their_digits_beside_a_large_start(name):
 def test_exact_errors_keep_their_digits_in_a_loop():
     closed = study("unstable", controller={"use": "lqr", "Q1": [1.0, 1.0], "Q2": 1.0})
     del closed["lti"]["input"]
-    np.testing.assert_allclose(pooled(pcbench.exact_moments(closed).stats), expected("unstable"), rtol=1e-9)
+    np.testing.assert_allclose(pooled(pcbench.exact_moments(closed).stats), reference_rms("unstable"), rtol=1e-9)
 
 
 @pytest.mark.nightly

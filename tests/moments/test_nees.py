@@ -27,7 +27,7 @@ SCALAR = {
 }  # fmt: skip
 
 
-def expected_of(study):
+def exact_values(study):
     """The exact numbers by observer, metric, signal."""
     stats = pcbench.exact_moments(study).stats
     return stats[stats.method == "exact"].set_index(["observer", "metric", "signal"]).sort_index()["mean"]
@@ -36,7 +36,7 @@ def expected_of(study):
 @pytest.mark.nightly
 def test_expected_squares_are_those_of_the_reference(expected):  # noqa: F811
     """Told R = (0.1, 0.05) where (0.09, 0.04) is true: a little pessimistic."""
-    exact = expected_of(ASKED)
+    exact = exact_values(ASKED)
     u = pcbench.simulate(STUDY, "model-only")[["u1", "u2"]].to_numpy()
     plant = surprise.Plant(linear.Model(ODD.A, ODD.B, ODD.C, TICK), u, np.zeros((3, 3)))
     _, samples = linear.simulate(linear.Model(ODD.A, ODD.B, ODD.C, TICK), u, np.zeros(3), TE, LATE)
@@ -58,7 +58,7 @@ def test_runs_come_to_it_and_who_is_told_when_a_sample_is_taken_is_told_here_too
 
     Three standard errors of 256 runs, whose seeds are written.
     """
-    exact = expected_of(SCALAR)
+    exact = exact_values(SCALAR)
     runs = pcbench.run(SCALAR, seeds=256).stats.set_index(["observer", "metric", "signal"])
     for key in (("kf", "nees", "a"), ("kf-alexander", "nees", "a"), ("kf-alexander", "steady_mse", "a")):
         assert abs(runs["mean"][key] - exact[key]) < 3 * runs["se"][key], key
@@ -71,7 +71,7 @@ def test_all_that_are_told_are():
     """The true model's filter with a copy of the state for each sample is the optimum, and Larsen's believes what is so."""
     names = ["kf", "kf-cloning", "kf-larsen", "kf-alexander", "model-only"]
     options = STUDY["options"] | {"scenario": CHOICES, "kf": {}}
-    exact = expected_of(STUDY | {"observers": names, "options": options})
+    exact = exact_values(STUDY | {"observers": names, "options": options})
     error = exact[:, "steady_pooled_rmse", "a"]
     assert error["kf-cloning"] == pytest.approx(error["kf"], rel=1e-8)
     assert error["kf"] < error["kf-larsen"] < error["model-only"] / 2

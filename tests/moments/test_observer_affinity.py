@@ -53,8 +53,8 @@ def test_reach_looks_into_loops_and_branches():
         return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
 
     sets = [
-        set(each)
-        for each in jax.tree.leaves(argument_dependence(f, 1.0, 2.0, 3.0), is_leaf=lambda x: isinstance(x, frozenset))
+        set(leaf)
+        for leaf in jax.tree.leaves(argument_dependence(f, 1.0, 2.0, 3.0), is_leaf=lambda x: isinstance(x, frozenset))
     ]
     assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
 
@@ -103,7 +103,7 @@ def test_one_whose_limit_is_never_met_has_the_numbers_of_one_without(tmp_path, g
     np.testing.assert_allclose(limited[["mean", "se"]], straight[["mean", "se"]], rtol=1e-12, atol=1e-14)
 
 
-def planned(observer, scenario):
+def plan(observer, scenario):
     given = {"kf-gate": {"gate": 3.0}, "kf-huber": {"huber": 1.5}}
     raw = {"name": "short", "scenarios": {"mine": scenario}, "observers": [observer]}
     (p,) = planning.plan(parse.parse(raw | {"options": {k: v for k, v in given.items() if k == observer}}, "short"))
@@ -112,7 +112,7 @@ def planned(observer, scenario):
 
 def test_plants_that_each_run_draws_are_those_of_its_seed():
     """Kept from cell to cell, as all of them draw the same numbers."""
-    p = planned("model-only", ARM | {"parameter_drift": 0.05})
+    p = plan("model-only", ARM | {"parameter_drift": 0.05})
     each = [draw_realisation(p, root, seed).problem.params for root in (0, 7) for seed in (0, 1)]
     assert len({(float(params.pace), float(params.phase)) for params in each}) == 4
     for seed in (0, 1):
@@ -131,7 +131,7 @@ def test_plants_that_each_run_draws_are_those_of_its_seed():
     ],
 )
 def test_doubted_is_who_goes_by_a_slope_that_noise_moves(scenario, observer, doubted):
-    p = planned(observer, scenario)
+    p = plan(observer, scenario)
     one = draw_realisation(p, 0, 0)
     assert is_curved(one.layout, one.problem) is doubted
 

@@ -28,7 +28,7 @@ def study(options, *observers):
     return STUDY | {"observers": list(observers), "options": options}
 
 
-def found(options, *observers):
+def exact_stats(options, *observers):
     return (
         pcbench.exact_moments(study(options, *observers)).stats.set_index(["observer", "metric"])["mean"].sort_index()
     )
@@ -36,7 +36,7 @@ def found(options, *observers):
 
 @pytest.mark.ci
 def test_an_observer_that_overflows_leaves_the_others_as_they_are():
-    alone, both = found({}, "kf", "model-only"), found({"nudge": {"share": 1e11}}, "kf", WILD, "model-only")
+    alone, both = exact_stats({}, "kf", "model-only"), exact_stats({"nudge": {"share": 1e11}}, "kf", WILD, "model-only")
     assert np.isnan(both["nudge", "mse"]), "there, with its reason"
     stats = pcbench.exact_moments(study({"nudge": {"share": 1e11}}, WILD)).stats
     (reason,) = stats[stats["metric"] == "mse"]["reason"]

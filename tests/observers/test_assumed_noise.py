@@ -35,7 +35,7 @@ def study(observer, options, **changes):
     return {"name": "own", "lti": PLANT | changes, "observers": [observer], "options": {observer: options}}
 
 
-def traced(observer, options, **changes):
+def simulate(observer, options, **changes):
     d = pcbench.simulate(study(observer, options, **changes), [observer], seed=1)
     return d[["u1", "u2"]].to_numpy(), d[["y1", "y2"]].to_numpy(), d[[f"{observer}.x{i}" for i in (1, 2, 3)]].to_numpy()
 
@@ -70,7 +70,7 @@ def joint_filter(u, y, Q, R):
     ids=["in full", "by state", "by channel"],
 )
 def test_filters_equal_one_of_whole_vectors_that_assumes_the_same(observer, assumed, Q, R):
-    u, y, got = traced(observer, assumed)
+    u, y, got = simulate(observer, assumed)
     want = joint_filter(u, y, Q, R)
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
 
@@ -78,7 +78,7 @@ def test_filters_equal_one_of_whole_vectors_that_assumes_the_same(observer, assu
 @pytest.mark.ci
 def test_noise_through_each_input_and_of_each_channel_with_clocks_of_their_own():
     q, R = [0.3, 0.02], [0.5, 0.02]
-    u, y, got = traced("kf", {"q": q, "R": R, "Q": [0.0] * 3}, sampling_period=[0.04, 0.03], delay=[0.06, 0.01])
+    u, y, got = simulate("kf", {"q": q, "R": R, "Q": [0.0] * 3}, sampling_period=[0.04, 0.03], delay=[0.06, 0.01])
     samples = []
     for j, (te, late) in enumerate(((4, 6), (3, 1))):
         for i, taken in enumerate(range(0, len(u) - late, te)):

@@ -189,7 +189,7 @@ def tick(x, u, h=0.005):
     return x + h / 6 * (a + 2 * b + 2 * c + d)
 
 
-def planned_joint(options, **changes):
+def plan_and_design(options, **changes):
     scenario = {"base": "flexible-joint/sampled", "duration": 3.0, "steady_start": 1.0, "delay": 0.2, **changes}
     study = {"name": "t", "scenario": scenario, "options": {"cascade-predictor": options}}
     _, cell = parse.one_cell({"name": "t", "scenario": scenario}, ["cascade-predictor"], [])
@@ -200,7 +200,7 @@ def planned_joint(options, **changes):
 @pytest.mark.parametrize("links", [3, 5])
 def test_links_of_a_nonlinear_plant_equal_the_reference(links):
     """With noise, from a wrong start, far from the point of the linear model."""
-    study, made = planned_joint({"links": links})
+    study, made = plan_and_design({"links": links})
     got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
     assert not is_certified(made.certificate._asdict())
     N, g = len(got) - 1, made.gains
@@ -216,13 +216,13 @@ def test_links_of_a_nonlinear_plant_equal_the_reference(links):
 def test_perfect_start_on_a_nonlinear_plant_stays_perfect():
     """Links behind the present stay at xhat(0) until their time has come: so without delay."""
     quiet = {"noise_std": 0.0, "process_std": [0.0] * 4, "xhat0": [1.0, 0.0, 1.0, 0.0], "delay": 0.0}
-    study, _ = planned_joint({}, **quiet)
+    study, _ = plan_and_design({}, **quiet)
     got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
     assert np.abs(got["link_angle"] - got["cascade-predictor.link_angle"]).max() < 1e-12
 
 
 def test_errors_on_a_nonlinear_plant_vanish_without_noise():
-    study, _ = planned_joint({}, noise_std=0.0, process_std=[0.0] * 4, duration=60.0)
+    study, _ = plan_and_design({}, noise_std=0.0, process_std=[0.0] * 4, duration=60.0)
     got = pcbench.simulate(study, ["cascade-predictor"], seed=3)
     error = np.abs(got["link_angle"] - got["cascade-predictor.link_angle"])
     size = [error[(got.t > t) & (got.t <= t + 10)].max() for t in range(0, 60, 10)]

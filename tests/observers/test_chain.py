@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
-from chains import DELAYS, OUTPUTS, PLANTS, SLOW, START, links_of, recorded, slow
+from chains import DELAYS, OUTPUTS, PLANTS, SLOW, START, links_of, record_cells, slow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import chain as ref
@@ -29,7 +29,7 @@ CASES = [
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.nightly)])
 def test_it_equals_the_index_based_reference(plant, case, label):
-    cells, runs = recorded(plant)
+    cells, runs = record_cells(plant)
     p, run, delays = cells[case], runs[case], DELAYS[case]
     with config.float64():
         v = np.asarray(rng.measurement_noise(0, 3, len(run.x), 3)).T * p.problem.noise_std
@@ -47,7 +47,7 @@ def test_it_equals_the_index_based_reference(plant, case, label):
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.nightly)])
 def test_perfect_start_is_exact(plant, case):
-    run = recorded(plant, True)[1][case]
+    run = record_cells(plant, True)[1][case]
     for label in OUTPUTS:
         assert (np.abs(run.x - run.estimates[label]) < 1e-13 * np.abs(run.x).max(0)).all(), label
 
@@ -57,7 +57,7 @@ def test_perfect_start_is_exact(plant, case):
 @pytest.mark.parametrize("slip", [-1, 1])
 def test_a_sample_of_slip_anywhere_is_caught(what, slip):
     """From a wrong start: from a perfect one the deviations that are filtered are zero, whenever they are read."""
-    cells, runs = recorded("odd")
+    cells, runs = record_cells("odd")
     p, gains = cells[0], cells[0].problem.gains["chain"]
     one = slip * np.array([0, 1, 0])
     links = gains.links if what == "tau" else gains.links._replace(**{what: getattr(gains.links, what) + one})
@@ -68,7 +68,7 @@ def test_a_sample_of_slip_anywhere_is_caught(what, slip):
     assert np.abs(run.estimates["chain"] - runs[0].estimates["chain"]).max() > 1e-3
 
 
-def expected(label, model, u, r, believed, xhat0):
+def reference_chain(label, model, u, r, believed, xhat0):
     if label == "equal-delay":
         d = min(believed)
         K = d**d / (d + 1) ** (d + 1) * model.A @ np.linalg.inv(model.C)
@@ -94,7 +94,7 @@ def test_between_samples_they_follow_the_model():
     _, y = ref.simulate(model, u[::10], np.array([1.0, -2.0]))
     for label in SLOW:
         got = d[[f"{label}.x1", f"{label}.x2"]].to_numpy()
-        want = expected(label, model, u[::10], ref.received(y, [2, 5]), [2, 5], np.zeros(2))
+        want = reference_chain(label, model, u[::10], ref.received(y, [2, 5]), [2, 5], np.zeros(2))
         rough = 1e-5 if label == "chain-riccati" else 1e-12  # the reference's Q is a sum, its P an iteration
         np.testing.assert_allclose(got[::10], want, atol=rough, err_msg=label)
         for k in range(400):
@@ -120,7 +120,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
     between = np.arange(1, len(d)) % 10 > 0
     for label in labels:
         got = d[[f"{label}.x1", f"{label}.x2"]].to_numpy()
-        want = expected(label, model, u, r, [2 + off, 5 + off], np.zeros(2))
+        want = reference_chain(label, model, u, r, [2 + off, 5 + off], np.zeros(2))
         np.testing.assert_allclose(got[::10], want, atol=1e-11, err_msg=label)
         moved = got[:-1] @ fine[0].T + held[:-1] @ fine[1].T
         np.testing.assert_allclose(got[1:][between], moved[between], atol=1e-11, err_msg=label)
@@ -130,7 +130,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
 @pytest.mark.parametrize("older", [1, 3])
 def test_what_is_believed_to_be_from_before_0_is_left_out(older):
     """Samples are believed older than they are: the first ones from before the first. The compiled program of all the tests."""
-    cells, _ = recorded("odd")
+    cells, _ = record_cells("odd")
     p, model, delays = cells[0], PLANTS["odd"], [2, 0, 4]
     N = len(p.problem.inputs) - 1
     sent = [common_times.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
@@ -157,7 +157,7 @@ def test_what_is_believed_to_be_from_before_0_is_left_out(older):
 )
 def test_it_equals_the_reference_for_any_delays_and_losses(delays, loss, pole, seed):
     """Traced delays and any pattern of losses, a wrong start, D != 0; one compiled program for all examples."""
-    cells, _ = recorded("odd")
+    cells, _ = record_cells("odd")
     p, model, rng = cells[0], PLANTS["odd"], np.random.default_rng(seed)
     N = len(p.problem.inputs) - 1
     lost = rng.random((N + 1, 3)) < loss

@@ -17,7 +17,7 @@ START = [0.4, -0.3]
 SWING = np.sin(1.3 * H * np.arange(TICKS + 1))[:, None] + 0.5 * np.cos(0.4 * H * np.arange(TICKS + 1))[:, None]
 
 
-def designed(case, **options):
+def design(case, **options):
     return OBSERVERS[NAME].design(context_of(case), OBSERVERS[NAME].options(**options))
 
 
@@ -25,7 +25,7 @@ def swinging(d=D, te=1, **changes):
     return Case(INTEGRATORS, te, d, ticks=TICKS, h=H, u=SWING, **({"x0": START, "xhat0": START} | changes))
 
 
-def moved(case, **options):
+def model_response(case, **options):
     """The estimates, and P u: the model alone, from the same start."""
     model = Model(case.model.A, case.model.B, case.model.C, case.h)
     return trace(case, {NAME: options}).estimates[NAME], model_only(model, inputs(case), np.asarray(case.xhat0))
@@ -36,22 +36,22 @@ def test_estimate_tends_to_the_smith_predictor_as_the_bandwidth_grows():
     for d in (10, D):
         case, settled, far = swinging(d), d + 150, {}
         for omega in (10.0, 20.0, 40.0):
-            got, smith = moved(case, omega=omega)
+            got, smith = model_response(case, omega=omega)
             far[omega] = np.abs(got - smith)[settled:, 0].max()
         assert far[10.0] > 0.01
         assert far[10.0] / far[20.0] == pytest.approx(2, rel=0.15)
         assert far[20.0] / far[40.0] == pytest.approx(2, rel=0.15)
-        deadbeat, smith = moved(case, pole=0.0)
+        deadbeat, smith = model_response(case, pole=0.0)
         assert np.abs(deadbeat - smith)[settled:, 0].max() < 0.3 * far[40.0]
 
 
 def test_error_of_a_perfect_start_is_what_the_delay_leaves():
     """Without a delay it is 0. With one it is (1 - Q) (1 - e^(-sT)) P u, here by adding up responses."""
-    got, smith = moved(swinging(0, 20))
+    got, smith = model_response(swinging(0, 20))
     np.testing.assert_allclose(got, smith, rtol=0, atol=1e-12)
     case = swinging()
-    got, smith = moved(case, omega=8.0)
-    gains = designed(case, omega=8.0).gains
+    got, smith = model_response(case, omega=8.0)
+    gains = design(case, omega=8.0).gains
     F = expm(np.block([[INTEGRATORS.A, INTEGRATORS.B], [np.zeros((1, 3))]]) * H)
     L = np.vstack([gains.L, gains.l])
     late = np.concatenate([np.zeros(D), smith[: TICKS + 1 - D, 0]])
@@ -78,14 +78,14 @@ def test_a_wrong_start_of_an_integrator_is_not_removed():
 def test_poles_are_at_the_bandwidth_and_omega_is_per_second():
     case = swinging(0, 5)
     for options in ({"omega": 6.0}, {"pole": float(np.exp(-6.0 * 0.05))}):
-        gains = designed(case, **options).gains
+        gains = design(case, **options).gains
         F = expm(np.block([[INTEGRATORS.A, INTEGRATORS.B], [np.zeros((1, 3))]]) * 0.05)
         K = np.vstack([gains.L, gains.l]) @ np.array([[1.0, 0.0, 0.0]])
         np.testing.assert_allclose(np.poly((np.eye(3) - K) @ F), np.poly([np.exp(-0.3)] * 3), rtol=0, atol=1e-10)
 
 
 def test_it_has_no_certificate_and_says_why():
-    assert designed(Case(CART, 20, 20)).certificate.inequality == "none: it ignores delays"
+    assert design(Case(CART, 20, 20)).certificate.inequality == "none: it ignores delays"
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_it_has_no_certificate_and_says_why():
 )
 def test_other_plants_are_refused_in_one_sentence(model, sentence):
     with pytest.raises(UserError, match=f"^cdob in case: .*{sentence}") as said:
-        designed(Case(model, 10, 0))
+        design(Case(model, 10, 0))
     assert str(said.value).count(". ") == 0
 
 

@@ -15,7 +15,7 @@ F1, F2 = (A - np.array([[a + b], [a * b]]) @ C for a, b in ((1.0, 2.0), (3.0, 4.
 INTEGRATORS = linear.Model(A, np.array([[0.0], [2.0]]), C)
 
 
-def designed(case, **options):
+def design(case, **options):
     return OBSERVERS["finite-time"].design(context_of(case), OBSERVERS["finite-time"].options(**options))
 
 
@@ -73,7 +73,7 @@ def test_fast_mode_of_the_cart_vanishes_at_its_own_rate():
 def test_other_intervals_make_the_error_decay_instead_of_vanish():
     """Designed for another period than the true one, as where intervals vary: no error of zero, but one that decays."""
     case = Case(INTEGRATORS, 20, 0, ticks=800, h=0.01, x0=[5.0, -3.0], u=np.zeros((801, 1)))
-    gains = designed(case._replace(te=22)).gains
+    gains = design(case._replace(te=22)).gains
     layout, p = problem(case, {"finite-time": {}})
     got = recorder()(layout, p._replace(gains={"finite-time": gains}), np.asarray(0), np.asarray(0))
     error = np.abs(np.asarray(got.x) - np.asarray(got.estimates["finite-time"])).max(1)
@@ -92,7 +92,7 @@ def test_perfect_start_leaves_no_error(te, d, odd):
 
 
 def test_certificate_is_the_slower_radius_and_contains_what_is_left():
-    certificate = designed(Case(INTEGRATORS, 20, 0, h=0.01), pole=0.6).certificate
+    certificate = design(Case(INTEGRATORS, 20, 0, h=0.01), pole=0.6).certificate
     assert certificate.margin == pytest.approx(0.4, abs=1e-6)  # a double pole is known to the root of rounding
     assert certificate.numbers["left"] < 1e-12
 
@@ -100,10 +100,10 @@ def test_certificate_is_the_slower_radius_and_contains_what_is_left():
 def test_too_few_samples_are_refused():
     case = Case(INTEGRATORS, 20, 0, h=0.01)
     with pytest.raises(UserError, match="got samples = 1, expected at least 2 for 2 states and 1 outputs"):
-        designed(case, samples=1)
-    assert len(designed(case, samples=2).gains.window) == 2
+        design(case, samples=1)
+    assert len(design(case, samples=2).gains.window) == 2
 
 
 def test_weights_too_large_for_double_precision_are_refused():
     with pytest.raises(DesignError, match=r"got weights of size .* for 2 samples"):
-        designed(Case(INTEGRATORS, 1, 0, h=0.01), samples=2, pole=0.99, ratio=1.0000001)
+        design(Case(INTEGRATORS, 1, 0, h=0.01), samples=2, pole=0.99, ratio=1.0000001)

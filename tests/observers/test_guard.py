@@ -23,7 +23,7 @@ def spoilt(schedule):
     return [s._replace(value=s.value + 2.0 * (i % 5 == 0)) for i, s in enumerate(plant(schedule)[1])]
 
 
-def found(name, schedule, **options):
+def run_observer(name, schedule, **options):
     there = driven.traffic(TIMES[schedule], spoilt(schedule), TICKS, 2)
     return driven.run(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])[0]
 
@@ -40,9 +40,11 @@ def want(schedule, gate=np.inf, gate_opens=5, huber=np.inf):
 @pytest.mark.parametrize("name", ["kf", "ekf"])
 def test_it_is_the_reference_whatever_is_late_lost_or_out_of_sequence(name, options, schedule):
     expected, gone = want(schedule, **options)
-    np.testing.assert_allclose(found(name, schedule, **options), expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        run_observer(name, schedule, **options), expected, rtol=0, atol=1e-10 * np.abs(expected).max()
+    )
     assert bool(gone) == ("gate" in options)
-    plain = found(name, schedule)
+    plain = run_observer(name, schedule)
     assert np.abs(plain - expected).max() > 1e-3 * np.abs(expected).max()
 
 
@@ -60,7 +62,7 @@ def test_a_sensor_that_is_taken_by_its_slope_is_guarded_alike(options, schedule)
 
 @pytest.mark.ci
 def test_what_nothing_exceeds_changes_nothing():
-    np.testing.assert_allclose(found("kf", "wild", gate=1e9, huber=1e9), found("kf", "wild"), rtol=1e-12)
+    np.testing.assert_allclose(run_observer("kf", "wild", gate=1e9, huber=1e9), run_observer("kf", "wild"), rtol=1e-12)
 
 
 @pytest.mark.ci

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helicopters import EARLY, OBSERVERS, TRUTH, estimate, expected, gap, planned, record
+from helicopters import EARLY, OBSERVERS, TRUTH, estimate, gap, plan_run, record, reference_run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import high_gain as forms
@@ -59,7 +59,7 @@ def test_viscosities_drift_as_a_sine_of_twenty_seconds():
 
 def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
     """Each channel by itself; what is not fresh changes nothing, and c is what the model expected less what was measured."""
-    p = planned("high-gain", SHORT)
+    p = plan_run("high-gain", SHORT)
     gains, observer = p.problem.gains["high-gain"], p.layout.observers[0][1]
     memory = observer.init(gains, jnp.asarray(p.problem.xhat0))._replace(
         c=jnp.array([5.0, 6.0]), newest=jnp.array([3, 3])
@@ -79,7 +79,7 @@ def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
 @pytest.mark.ci
 @pytest.mark.parametrize("case", [case for case in PAGE if case[2] <= 1], ids=str)
 def test_the_worked_first_second(case):
-    assert_page(case, record(planned(case[1], 1.0, name=case[0])))
+    assert_page(case, record(plan_run(case[1], 1.0, name=case[0])))
 
 
 def assert_page(case, got):
@@ -94,8 +94,8 @@ def assert_page(case, got):
 @pytest.mark.parametrize("name", ["constant", "varying"])
 def test_twenty_seconds_equal_the_reference(name, observer):
     """The loop amplifies rounding: 1e-9, and the numbers worked out beforehand on the way."""
-    p = planned(observer, 20.0, name=name)
-    got, want = record(p), expected(p)
+    p = plan_run(observer, 20.0, name=name)
+    got, want = record(p), reference_run(p)
     for found, there in ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u)):
         np.testing.assert_allclose(found, there, rtol=0, atol=1e-9)
     for case in PAGE:
@@ -119,7 +119,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
 def test_any_period_delay_and_noise_equals_the_reference(observer, period, delay, swing, noise, drift):
     if delay < 2 or period == 1:
         swing = 0.0  # no delay at all, or one tick; with a sample at every tick some would come twice
-    p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3,
+    p = plan_run(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3,
                 delay_sine=(swing * (delay - 1) * 1e-3, 2.0), noise_std=noise, parameter_drift=drift)  # fmt: skip
     if len(p.problem.schedule.early) > EARLY:
         return
@@ -139,20 +139,20 @@ BOTH = {"feedforward": True, "predictor": True}
 )
 @pytest.mark.nightly
 def test_the_controllers_options_equal_the_reference(name, choices):
-    assert gap(planned("high-gain", SHORT, name=name, choices=choices)) < 1e-9
+    assert gap(plan_run("high-gain", SHORT, name=name, choices=choices)) < 1e-9
 
 
 @pytest.mark.parametrize("form", [forms.blocks(), forms.predictor()], ids=["two blocks", "predictor"])
 @pytest.mark.nightly
 def test_other_forms_of_the_observer_are_the_same(form):
-    assert gap(planned("high-gain", SHORT, name="varying"), form) < 1e-10
+    assert gap(plan_run("high-gain", SHORT, name="varying"), form) < 1e-10
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("misprint", forms.MISPRINTS)
 def test_a_misprint_would_be_seen(misprint):
     tuning = forms.Tuning(misprint=misprint)
-    assert not gap(planned("high-gain", SHORT), forms.high_gain(tuning)) < 1e-3
+    assert not gap(plan_run("high-gain", SHORT), forms.high_gain(tuning)) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -162,17 +162,17 @@ def test_a_misprint_would_be_seen(misprint):
 @given(period=st.integers(1, 250), delay=st.integers(0, 60), feedforward=st.booleans())
 def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):
     """True start and viscosities, no noise: z follows x; only rounding, which the loop amplifies."""
-    p = planned(
+    p = plan_run(
         observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward}
     )
     s = p.cell.scenario
-    p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward},
+    p = plan_run(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward},
                 xhat0=s.truth.x0, unknown0=TRUTH)  # fmt: skip
     got = record(p)
     assert np.abs(got.x - estimate(got)).max() < 1e-11
 
 
-def slipped(p, what):
+def shift_tick(p, what):
     """One tick off somewhere in the loop."""
     problem, plan = p.problem, p.problem.schedule
     if what == "line":
@@ -199,15 +199,15 @@ def slipped(p, what):
     ],
 )
 def test_one_tick_off_is_seen(observer, what):
-    p = planned(observer, SHORT)
-    got, want = record(p._replace(problem=slipped(p, what))), expected(p)
+    p = plan_run(observer, SHORT)
+    got, want = record(p._replace(problem=shift_tick(p, what))), reference_run(p)
     assert np.abs(estimate(got) - want.z).max() > 1e-4
 
 
 @pytest.mark.nightly
 def test_process_noise_of_another_state_is_seen():
-    p = planned("ekf", SHORT)
+    p = plan_run("ekf", SHORT)
     gains = p.problem.gains["ekf"]
     wrong = p.problem.gains | {"ekf": gains._replace(Q=np.roll(gains.Q, 1, 0))}
-    got, want = record(p._replace(problem=p.problem._replace(gains=wrong))), expected(p)
+    got, want = record(p._replace(problem=p.problem._replace(gains=wrong))), reference_run(p)
     assert np.abs(estimate(got) - want.z).max() > 1e-4

@@ -27,7 +27,7 @@ SILENT = (
 )  # have a covariance, but no innovations that are independent, or of one delay, or none
 
 
-def found(name, schedule, samples=None, **options):
+def run_observer(name, schedule, samples=None, **options):
     samples = plant(schedule)[1] if samples is None else samples
     there = driven.traffic(TIMES[schedule], samples, TICKS, 2)
     return driven.whole(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])
@@ -51,7 +51,7 @@ def test_who_has_a_covariance_says_what_it_expects_but_for_five():
 @pytest.mark.parametrize("name", ["kf", "ekf", "kf-reprocess"])
 def test_every_sample_is_compared_with_all_that_arrived_before(name, schedule):
     options = {"keep": 9} if name == "kf-reprocess" else {}
-    got, expected = found(name, schedule, **options)[2], want(plant(schedule)[1], every=True)
+    got, expected = run_observer(name, schedule, **options)[2], want(plant(schedule)[1], every=True)
     same(got, expected)
     assert expected[:, 1].sum() == len(plant(schedule)[1])
 
@@ -60,21 +60,21 @@ def test_every_sample_is_compared_with_all_that_arrived_before(name, schedule):
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 def test_who_corrects_all_copies_expects_rightly_of_those_out_of_order_too(schedule):
     expected = want(plant(schedule)[1], every=True)
-    same(found("kf-cloning", schedule)[2], expected)
+    same(run_observer("kf-cloning", schedule)[2], expected)
     assert expected[:, 1].sum() == len(plant(schedule)[1])
 
 
 @pytest.mark.ci
 def test_what_is_discarded_is_not_judged():
     kept = [s for s in plant("wild")[1] if s.arrival - s.taken <= 12]
-    same(found("kf-drop-delayed", "wild", max_age=12 * H)[2], want(kept, every=True))
+    same(run_observer("kf-drop-delayed", "wild", max_age=12 * H)[2], want(kept, every=True))
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ["oosm-a1", "oosm-b1", "oosm-lag"])
 def test_retrodiction_compares_every_sample_that_it_uses(name):
-    same(found(name, "now")[2], want(plant("now")[1]))
-    got, in_order, every = found(name, "wild")[2], want(plant("wild")[1]), want(plant("wild")[1], every=True)
+    same(run_observer(name, "now")[2], want(plant("now")[1]))
+    got, in_order, every = run_observer(name, "wild")[2], want(plant("wild")[1]), want(plant("wild")[1], every=True)
     assert in_order[:, 1].sum() < got[:, 1].sum() <= every[:, 1].sum()
     assert (got[:, 1] >= in_order[:, 1]).all()
 
@@ -82,14 +82,14 @@ def test_retrodiction_compares_every_sample_that_it_uses(name):
 @pytest.mark.ci
 @pytest.mark.parametrize("name", ["oosm-a1", "oosm-lag"])
 def test_retrodiction_over_one_step_expects_what_all_before_say(name):
-    same(found(name, "one step")[2], want(plant("one step")[1], every=True))
+    same(run_observer(name, "one step")[2], want(plant("one step")[1], every=True))
 
 
 def test_who_takes_late_for_now_expects_what_the_optimum_would_if_it_were():
     late = plant("late")[1]
     once = {(s.arrival, s.channel): s._replace(taken=s.arrival) for s in late}
     assert len(once) == len(late)
-    same(found("kf-ignore-delay", "late")[2], want(sorted(once.values())))
+    same(run_observer("kf-ignore-delay", "late")[2], want(sorted(once.values())))
 
 
 def test_shifting_expects_the_output_of_its_estimate_of_now_less_the_inputs_response():
@@ -101,14 +101,14 @@ def test_shifting_expects_the_output_of_its_estimate_of_now_less_the_inputs_resp
     def shifted(s):
         return s._replace(taken=s.arrival, value=s.value + MODEL.C[s.channel] @ (moved[s.arrival] - moved[s.taken]))
 
-    same(found("kf-shifted-innovation", "late")[2], want(sorted(map(shifted, plant("late")[1]))))
+    same(run_observer("kf-shifted-innovation", "late")[2], want(sorted(map(shifted, plant("late")[1]))))
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 def test_on_a_linear_model_the_extended_filter_believes_what_kalmans_does(schedule):
-    xhat, P, _ = found("ekf", schedule)
-    best, true, _ = found("kf", schedule)
+    xhat, P, _ = run_observer("ekf", schedule)
+    best, true, _ = run_observer("kf", schedule)
     same(xhat, best)
     same(P, true)
 

@@ -68,7 +68,7 @@ def optimum(schedule):
     return irregular.kf(MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, W)
 
 
-def given(schedule):
+def reference_arguments(schedule):
     return MODEL, inputs(CASE), plant(schedule)[1]
 
 
@@ -105,7 +105,9 @@ def test_where_nothing_is_late_all_are_the_optimum(name):
 @pytest.mark.parametrize("schedule", ["late", "wild"])
 @pytest.mark.parametrize("name", ["kf-ignore-delay", "kf-shifted-innovation"])
 def test_taking_late_for_now_equals_the_reference(name, schedule):
-    want = late.as_of_now(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, name == "kf-shifted-innovation")
+    want = late.as_of_now(
+        *reference_arguments(schedule), starts(CASE)[1], KNOWN.P0, R, W, name == "kf-shifted-innovation"
+    )
     for a, b in zip(found(name, schedule), want, strict=True):
         same(a, b)
     assert apart(want[0], optimum(schedule))
@@ -163,7 +165,7 @@ def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_out_of_
     there = driven.traffic(TIMES["wild"], samples, TICKS, 2)
     xhat, _ = driven.run(name, KNOWN, {}, there, inputs(CASE), starts(CASE)[0])
     assert np.abs(xhat - x).max() < 1e-12 * np.abs(x).max()
-    earlier = [[(max(t - 1, 0), arrival) for t, arrival in each] for each in TIMES["wild"]]
+    earlier = [[(max(t - 1, 0), arrival) for t, arrival in time] for time in TIMES["wild"]]
     slipped = driven.traffic(earlier, [s._replace(taken=max(s.taken - 1, 0)) for s in samples], TICKS, 2)
     xhat, _ = driven.run(name, KNOWN, {}, slipped, inputs(CASE), starts(CASE)[0])
     assert np.abs(xhat - x).max() > 1e-4 * np.abs(x).max(), "a tick of slip is seen"
@@ -181,7 +183,7 @@ def test_a_horizon_is_the_optimum_of_samples_that_all_arrive_so_late(schedule, h
 
 @pytest.mark.parametrize("schedule", ["one step", "wild"])
 def test_larsens_gain_is_the_best_for_its_innovation_and_its_covariance_true(schedule):
-    want = late.larsen(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W)
+    want = late.larsen(*reference_arguments(schedule), starts(CASE)[1], KNOWN.P0, R, W)
     for a, b in zip(found("kf-larsen", schedule), want, strict=True):
         same(a, b)
 
@@ -197,7 +199,7 @@ def test_larsen_is_the_optimum_with_one_sample_on_its_way_and_above_it_with_seve
 
 @pytest.mark.parametrize("schedule", ["one step", "late", "wild"])
 def test_alexander_equals_the_reference(schedule):
-    want = late.alexander(*given(schedule), TIMES[schedule], starts(CASE)[1], KNOWN.P0, R, W)
+    want = late.alexander(*reference_arguments(schedule), TIMES[schedule], starts(CASE)[1], KNOWN.P0, R, W)
     for a, b in zip(found("kf-alexander", schedule), want, strict=True):
         same(a, b)
 
@@ -225,7 +227,7 @@ RETRODICTED = {
 @pytest.mark.parametrize("schedule", ["one step", "late", "wild"])
 @pytest.mark.parametrize("name", RETRODICTED)
 def test_retrodiction_equals_the_reference(name, schedule):
-    want = late.retrodicted(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, **RETRODICTED[name])
+    want = late.retrodicted(*reference_arguments(schedule), starts(CASE)[1], KNOWN.P0, R, W, **RETRODICTED[name])
     for a, b in zip(found(name, schedule), want, strict=True):
         same(a, b)
 

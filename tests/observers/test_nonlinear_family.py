@@ -60,18 +60,18 @@ def agrees(got, want):
 @pytest.mark.parametrize("iterations", [pytest.param(1, marks=pytest.mark.nightly), 4])
 def test_iterating_equals_the_reference(iterations):
     want = reference.by_slopes(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), iterations)
-    agrees(swinging.found("ekf-iterated", iterations=iterations), want)
+    agrees(swinging.run_observer("ekf-iterated", iterations=iterations), want)
 
 
 @pytest.mark.nightly
 def test_iterating_once_is_the_extended_filter():
-    once, extended = swinging.found("ekf-iterated", iterations=1), swinging.found("ekf")
+    once, extended = swinging.run_observer("ekf-iterated", iterations=1), swinging.run_observer("ekf")
     for a, b in zip(once[:2], extended[:2], strict=True):
         same(a, b)
     judged = once[2][:, 1] == extended[2][:, 1]  # it judges no measurement that arrives after a newer one
     same(once[2][judged], extended[2][judged])
     assert 0.5 < judged.mean() < 1
-    assert np.abs(swinging.found("ekf-iterated", iterations=4)[0] - swinging.found("ekf")[0]).max() > 1e-3
+    assert np.abs(swinging.run_observer("ekf-iterated", iterations=4)[0] - swinging.run_observer("ekf")[0]).max() > 1e-3
 
 
 WEIGHTS = [
@@ -84,7 +84,7 @@ WEIGHTS = [
 @pytest.mark.parametrize("options", WEIGHTS, ids=str)
 def test_unscented_points_equal_the_reference(options):
     want = reference.by_points(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), **options)
-    agrees(swinging.found("ukf", **options), want)
+    agrees(swinging.run_observer("ukf", **options), want)
 
 
 @pytest.mark.nightly
@@ -92,21 +92,24 @@ def test_cubature_points_equal_the_reference():
     want = reference.by_points(
         swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), cubature=True
     )
-    agrees(swinging.found("ukf", **CUBATURE), want)
+    agrees(swinging.run_observer("ukf", **CUBATURE), want)
 
 
 @pytest.mark.ci
 def test_unscented_points_without_weight_on_the_centre_are_the_cubature_points():
-    flat, cubature = swinging.found("ukf", alpha=1.0, beta=0.0, kappa=0.0), swinging.found("ukf", **CUBATURE)
+    flat, cubature = (
+        swinging.run_observer("ukf", alpha=1.0, beta=0.0, kappa=0.0),
+        swinging.run_observer("ukf", **CUBATURE),
+    )
     for a, b in zip(flat, cubature, strict=True):
         same(a, b)
-    assert np.abs(swinging.found("ukf", alpha=1.0, beta=0.0, kappa=1.0)[0] - cubature[0]).max() > 1e-6
+    assert np.abs(swinging.run_observer("ukf", alpha=1.0, beta=0.0, kappa=1.0)[0] - cubature[0]).max() > 1e-6
 
 
 @pytest.mark.nightly
 def test_a_start_that_is_known_has_no_points():
     """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
-    known = swinging.told(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
+    known = swinging.design_context(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
     xhat, P, _ = driven.whole("ukf", known, {}, swinging.traffic(), swinging.inputs(), swinging.START)
     z = np.append(swinging.START, swinging.P_START)
     for k, u in enumerate(swinging.inputs()):
@@ -125,7 +128,7 @@ def test_a_start_that_is_known_has_no_points():
 )
 def test_what_cannot_be_is_refused_in_a_sentence(name, options, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
-        OBSERVERS[name].design(swinging.told(), OBSERVERS[name].options(**options))
+        OBSERVERS[name].design(swinging.design_context(), OBSERVERS[name].options(**options))
     assert "\n" not in str(caught.value)
 
 
@@ -183,7 +186,9 @@ ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
 def test_looking_back_equals_the_reference(window, iterations):
     model = swinging.model()._replace(low=np.full(3, -np.inf), high=np.full(3, np.inf))
     given = model, *swinging.prior(), swinging.samples(), swinging.inputs(), window, iterations
-    agrees(swinging.found("mhe", known=ANYWHERE, window=window, iterations=iterations), horizon.estimated(*given))
+    agrees(
+        swinging.run_observer("mhe", known=ANYWHERE, window=window, iterations=iterations), horizon.estimated(*given)
+    )
 
 
 @pytest.mark.ci
@@ -193,9 +198,9 @@ def test_looking_back_within_bounds_equals_the_reference():
     ends = np.append(low, 1.0), np.append(high, 5.0)
     given = swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), 3, 2
     want, _ = horizon.estimated(*given, *ends)
-    got = swinging.found("mhe", window=3, iterations=2, lower=low.tolist(), upper=high.tolist())[0]
+    got = swinging.run_observer("mhe", window=3, iterations=2, lower=low.tolist(), upper=high.tolist())[0]
     same(got, np.array([z for z, _ in want]))
-    free = swinging.found("mhe", window=3, iterations=2)[0]
+    free = swinging.run_observer("mhe", window=3, iterations=2)[0]
     assert np.abs(got - free).max() > 1e-2, "the bounds hold somewhere"
     assert (free[:, 1] > high[1] + 0.01).any(), "those above too"
 
@@ -216,7 +221,7 @@ def test_looking_back_within_bounds_equals_the_reference():
 )
 def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, changes, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
-        OBSERVERS["mhe"].design(swinging.told(**changes), OBSERVERS["mhe"].options(**options))
+        OBSERVERS["mhe"].design(swinging.design_context(**changes), OBSERVERS["mhe"].options(**options))
     assert "\n" not in str(caught.value)
     with pytest.raises(UserError, match="mhe in helicopter/constant got a closed loop"):
         pcbench.run("helicopter/constant", observers=["mhe"])
@@ -226,7 +231,7 @@ def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, ch
 @pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.nightly)])
 def test_particles_equal_the_reference_on_the_same_draws(many, share):
     """Late and out-of-sequence samples move the same particles by the same draws again."""
-    xhat, P, _ = swinging.found("particle", particles=many, resample=share)
+    xhat, P, _ = swinging.run_observer("particle", particles=many, resample=share)
     model, (z, P0) = swinging.model(), swinging.prior()
     want = particles.filtered(model, z, P0, swinging.samples(), swinging.inputs(), many, share)
     same(xhat, np.array([m for m, _ in want]))
@@ -236,7 +241,7 @@ def test_particles_equal_the_reference_on_the_same_draws(many, share):
 def eight_particles():
     """Gains of a filter that never resamples, and the present of tick 0."""
     entry, zero, u = OBSERVERS["particle"], jnp.asarray(0), jnp.zeros(1)
-    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
+    gains = entry.design(swinging.design_context(), entry.options(particles=8, resample=0.0)).gains
     return gains, Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
 
 
@@ -279,7 +284,7 @@ def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis(valu
 
 def test_of_one_particle_too_many_it_says_how_many_fit():
     with pytest.raises(UserError, match=r"got 10000000000 particles, which take .* expected at most"):
-        OBSERVERS["particle"].design(swinging.told(), OBSERVERS["particle"].options(particles=10**10))
+        OBSERVERS["particle"].design(swinging.design_context(), OBSERVERS["particle"].options(particles=10**10))
 
 
 @pytest.mark.nightly

@@ -16,7 +16,7 @@ class Numbers(NamedTuple):
     friction: float = 0.2  # 1/s
 
 
-def wrapped(angle):
+def wrap(angle):
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
 
@@ -27,7 +27,7 @@ def field(p, now, x):
 def make(residual, start=(0.0, 0.0)):
     return pcbench.make_plant(
         field=field,
-        output=lambda p, now, x: jnp.stack([wrapped(x[0]), 0.1 * x[1]]),
+        output=lambda p, now, x: jnp.stack([wrap(x[0]), 0.1 * x[1]]),
         output_residual=residual,
         states=["angle [rad]", "rate [rad/s]"],
         numbers=Numbers(),
@@ -36,7 +36,7 @@ def make(residual, start=(0.0, 0.0)):
 
 
 def turning(y, yhat):
-    return jnp.stack([wrapped(y[0] - yhat[0]), y[1] - yhat[1]])
+    return jnp.stack([wrap(y[0] - yhat[0]), y[1] - yhat[1]])
 
 
 with_residual = make(turning)

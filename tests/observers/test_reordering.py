@@ -18,7 +18,7 @@ def digits(state, sample):
     return state * BASE + sample.value[0]
 
 
-def replayed(arrivals, room):
+def replay_arrivals(arrivals, room):
     """The state after each arrival, where an arrival is (tick taken, number)."""
     line, out = reorder_buffer.start(jnp.asarray(0.0), np.zeros(room), 1, 0), []
     step = jax.jit(lambda line, sample: reorder_buffer.replay(digits, line, sample))
@@ -57,7 +57,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case, rest):
     arrivals, places = CASES[case]
-    assert replayed(arrivals, (places, *rest)) == sorted_all(arrivals)
+    assert replay_arrivals(arrivals, (places, *rest)) == sorted_all(arrivals)
 
 
 @pytest.mark.parametrize(("taken", "products"), [(40, 2), (25, 6)])
@@ -84,4 +84,4 @@ def test_a_copy_is_made_between_the_samples_around_it(room):
 @pytest.mark.ci
 def test_more_room_than_is_needed_changes_nothing():
     arrivals, places = CASES["three late ones"]
-    assert replayed(arrivals, places) == replayed(arrivals, places + 3)
+    assert replay_arrivals(arrivals, places) == replay_arrivals(arrivals, places + 3)

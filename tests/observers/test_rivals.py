@@ -56,7 +56,7 @@ def recorded():
     return {tuple(d): (p.problem.inputs, run) for d, p, run in zip(VECTORS, cells, found, strict=True)}
 
 
-def expected(label, u, r, delays):
+def reference_estimates(label, u, r, delays):
     d = max(min(delays), 1)
     held = d**d / (d + 1) ** (d + 1) * TANK.A @ INV
     if label == "equal-delay":
@@ -69,12 +69,12 @@ def expected(label, u, r, delays):
 @pytest.mark.parametrize("label", LABELS)
 @pytest.mark.parametrize(
     "delays",
-    [pytest.param(each, id=str(each), marks=[pytest.mark.nightly] if each in SLOW else []) for each in VECTORS],
+    [pytest.param(vector, id=str(vector), marks=[pytest.mark.nightly] if vector in SLOW else []) for vector in VECTORS],
 )
 def test_they_equal_the_reference(label, delays):
     u, found = recorded()[tuple(delays)]
     _, y = ref.simulate(TANK, u, START["tank"])
-    want = expected(label, u, ref.received(y, delays), delays)
+    want = reference_estimates(label, u, ref.received(y, delays), delays)
     got = found[label]
     size = np.maximum.accumulate(np.abs(want), 0).max(1)[:, None] * START["tank"] / 2e4  # aligned grows without bound
     assert (np.abs(got - want) < 1e-10 * np.maximum(size, 0.1 * START["tank"])).all()

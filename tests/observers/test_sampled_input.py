@@ -35,7 +35,7 @@ VARIANTS = {
 }
 
 
-def planned(te, d, option=None, others=None, **changes):
+def plan_cell(te, d, option=None, others=None, **changes):
     """A cell of arm/sampled, its finders with an option; all of one shape, that of a drifting plant with room for any delay."""
     s = SCENARIOS["arm/sampled"].with_fields(duration=TICKS * TICK, steady_start=TICKS * TICK / 2, noise_std=(0.0, 0.0))
     s = s.with_fields(sampling_period=(te * TICK,) * 2, delay=(d * TICK,) * 2, **changes)
@@ -46,11 +46,11 @@ def planned(te, d, option=None, others=None, **changes):
 
 @cache
 def layout():
-    (p,) = padding.fit([planned(1, 400, parameter_drift=0.05)])
+    (p,) = padding.fit([plan_cell(1, 400, parameter_drift=0.05)])
     return p.layout
 
 
-def recorded(p, seed=0):
+def record(p, seed=0):
     """One run, arrays [N+1, ...]."""
     problem = jax.tree.map(np.asarray, p.problem)
     return jax.tree.map(np.asarray, trajectory.jit_record()(layout(), problem, np.asarray(0), np.asarray(seed)))
@@ -118,7 +118,7 @@ CASES = tuple((te, d, 3e-3 * (i % 3), i) for i, (te, d) in enumerate(TIMES))  # 
 @pytest.mark.parametrize("i", range(len(CASES)), ids=lambda i: "{} {} {:g}".format(*CASES[i]))
 def test_smo_and_pio_equal_the_reference(i, variant):
     te, d, std, seed = CASES[i]
-    got = recorded(planned(te, d, VARIANTS[variant], noise_std=(std,) * 2), seed)
+    got = record(plan_cell(te, d, VARIANTS[variant], noise_std=(std,) * 2), seed)
     np.testing.assert_array_equal(got.x[:, 4], ui.d1(np.arange(TICKS + 1) * TICK))
     finders_agree(got, VARIANTS[variant], 0.0, CASES, i)
 
@@ -127,14 +127,14 @@ def test_smo_and_pio_equal_the_reference(i, variant):
 @pytest.mark.parametrize("case", [(1, 40, 3e-3, 5), (20, 0, 0.0, 0), (7, 13, 1e-3, 1), (30, 400, 0.1, 2)], ids=str)
 def test_kf_with_the_input_as_a_random_walk_equals_the_reference(case):
     te, d, std, seed = case
-    filter_agrees(recorded(planned(te, d, noise_std=(std,) * 2), seed), arm(), te, d, std, seed)
+    filter_agrees(record(plan_cell(te, d, noise_std=(std,) * 2), seed), arm(), te, d, std, seed)
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed):
     """One factor on k/J, M g l/J and F/J; its pace and phase are of the run's own."""
-    got = recorded(planned(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3)), seed)
+    got = record(plan_cell(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3)), seed)
     assert np.abs(arm(0.05, 3) - arm(0.05, 4)).max() > 1e-3
     assert np.abs(arm(0.05, seed) - arm()).max() > 1e-3
     finders_agree(got, {}, 0.05, ((20, 40, 1e-3, seed),), 0)
@@ -144,18 +144,18 @@ def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed
 @pytest.mark.nightly
 def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
-    p = planned(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3))
+    p = plan_cell(20, 40, parameter_drift=0.05, noise_std=(1e-3, 1e-3))
     (fitted,) = padding.fit([p])
     (done,) = run_local.execute(Study(name="parameter_drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
     for column, seed in enumerate([3, 0, 4]):
-        got = recorded(p, seed)
+        got = record(p, seed)
         for name in OBSERVERS:
             e = (got.x - got.estimates[name])[TICKS // 2 : -1]
             np.testing.assert_allclose(done.results[name]["steady_rmse"][:, column], np.sqrt((e**2).mean(0)), rtol=1e-9)
 
 
 def test_without_drift_a_run_is_undisturbed_whatever_its_seed():
-    one, other = (recorded(planned(20, 40), seed).x for seed in (3, 4))
+    one, other = (record(plan_cell(20, 40), seed).x for seed in (3, 4))
     np.testing.assert_array_equal(one, other)
     np.testing.assert_allclose(one[:, :4], arm()[:, 0], rtol=0, atol=1e-10)
 
@@ -168,7 +168,7 @@ START = (0.3, -0.7, 0.5, 1.1)
 def perfect(te, d, option=None, x0=START, xi=0.0, **changes):
     """No weight, nobody pushes, a true start; PIO without its sign, which would chatter about zero (see below)."""
     linear = {"model": {"M": 0.0}, "unknown_input": "zero", "x0": x0, "xhat0": x0, "input": "sine"}
-    p = planned(te, d, option, {"kf": {"R": 1e-6}}, **linear | changes)
+    p = plan_cell(te, d, option, {"kf": {"R": 1e-6}}, **linear | changes)
     pio = p.problem.gains["pio"]
     gains = p.problem.gains | {"pio": pio._replace(law=pio.law._replace(xi=np.asarray(xi)))}
     return p._replace(problem=p.problem._replace(gains=gains))
@@ -189,7 +189,7 @@ def error(got, name):
     carry=st.booleans(),
 )
 def test_perfect_start_is_zero_for_any_period_delay_start_and_known_input(te, d, x0, signal, carry):
-    got = recorded(perfect(te, d, {"reconstruct": carry}, x0, input=signal))
+    got = record(perfect(te, d, {"reconstruct": carry}, x0, input=signal))
     steeper = {"kf": max(1, 20 / te)}  # rounding of a sample reads as a push of that over the interval between two
     for name in OBSERVERS:
         assert error(got, name) < 1e-12 * steeper.get(name, 1) * max(np.abs(got.x).max(), 1), name
@@ -198,7 +198,7 @@ def test_perfect_start_is_zero_for_any_period_delay_start_and_known_input(te, d,
 @pytest.mark.parametrize(("te", "d"), [(1, 0), (40, 60)])
 def test_from_a_perfect_start_pio_chatters_no_further_than_one_tick_takes_it(te, d):
     """sgn of a rounding error is 1: w moves by xi h a tick, the state by xi h^2, and is turned back."""
-    got = recorded(perfect(te, d, xi=2.0))
+    got = record(perfect(te, d, xi=2.0))
     e = np.abs(got.x - got.estimates["pio"]).max(0)
     assert 1e-9 < e[:4].max() < 2 * TICK**2
     assert 1e-6 < e[4] < 2 * TICK
@@ -206,7 +206,7 @@ def test_from_a_perfect_start_pio_chatters_no_further_than_one_tick_takes_it(te,
 
 def test_held_samples_bring_an_error_of_first_order_in_their_age():
     """`hold` says e_y = Y - C xd with Y up to a period old: half a tick at best, and twice the error at twice the period."""
-    runs = {te: recorded(perfect(te, 0, VARIANTS["hold"])) for te in (1, 20, 40, 80)}
+    runs = {te: record(perfect(te, 0, VARIANTS["hold"])) for te in (1, 20, 40, 80)}
     for name in FINDERS:
         one, *rest = (np.abs(got.x - got.estimates[name])[:, 1].max() for got in runs.values())
         assert 1e-4 < one < 1e-3
@@ -223,8 +223,8 @@ def lagging(p, by):
 def test_one_tick_of_slip_in_the_age_is_caught(slip):
     p = perfect(40, 60)
     late = p.problem._replace(schedule=p.problem.schedule._replace(timestamp=p.problem.schedule.timestamp - slip))
-    assert error(recorded(p._replace(problem=late)), "kf") > 1e-4
-    got = recorded(lagging(p, slip))
+    assert error(record(p._replace(problem=late)), "kf") > 1e-4
+    got = record(lagging(p, slip))
     assert all(error(got, name) > 1e-4 for name in FINDERS)
 
 
@@ -232,7 +232,7 @@ def test_delivering_the_neighbouring_packet_is_caught():
     p = perfect(40, 60)
     plan = p.problem.schedule
     wrong = plan._replace(arrive=np.where(plan.arrive > 0, plan.arrive - 1, plan.arrive))
-    got = recorded(p._replace(problem=p.problem._replace(schedule=wrong)))
+    got = record(p._replace(problem=p.problem._replace(schedule=wrong)))
     assert all(error(got, name) > 1e-4 for name in OBSERVERS)
 
 

@@ -1,4 +1,4 @@
-"""Every function of every observer says its shapes, and refuses others: checked calls (`shapes.checked`) raise."""
+"""Every function of every observer says its shapes, and refuses others: checked calls (`shapes.check_types`) raise."""
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ def calls(request):
     return Calls(request.param)
 
 
-def refused(function, *args):
+def assert_type_error(function, *args):
     with pytest.raises((TypeError, TypeCheckError)) as found:
         function(*args)
     assert "Type-check error" in str(found.value)
@@ -60,31 +60,35 @@ def test_as_they_should_be_all_are_taken(calls):
 
 @pytest.mark.ci
 def test_a_start_of_another_rank_is_refused(calls):
-    refused(calls.observer.init, calls.gains, calls.xhat0[None])
+    assert_type_error(calls.observer.init, calls.gains, calls.xhat0[None])
 
 
 @pytest.mark.ci
 def test_a_note_of_a_memory_of_another_rank_is_refused(calls):
-    refused(calls.observer.snapshot, calls.gains, taller(calls.memory), calls.now)
+    assert_type_error(calls.observer.snapshot, calls.gains, taller(calls.memory), calls.now)
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("function", ["snapshot", "flow"])
 def test_an_input_of_another_rank_is_refused(calls, function):
-    refused(getattr(calls.observer, function), calls.gains, calls.memory, calls.now._replace(u=calls.now.u[None]))
+    assert_type_error(
+        getattr(calls.observer, function), calls.gains, calls.memory, calls.now._replace(u=calls.now.u[None])
+    )
 
 
 @pytest.mark.parametrize("field", ["value", "mask", "age", "index"])
 def test_an_arrival_with_a_channel_more_in_one_place_is_refused(calls, field):
     more = jnp.append(getattr(calls.arrival, field), getattr(calls.arrival, field)[:1])
-    refused(calls.observer.jump, calls.gains, calls.memory, calls.now, calls.arrival._replace(**{field: more}))
+    assert_type_error(
+        calls.observer.jump, calls.gains, calls.memory, calls.now, calls.arrival._replace(**{field: more})
+    )
 
 
 @pytest.mark.ci
 def test_a_memory_of_another_rank_is_no_estimate(calls):
-    refused(calls.observer.estimate, calls.gains, taller(calls.memory))
+    assert_type_error(calls.observer.estimate, calls.gains, taller(calls.memory))
 
 
 def test_a_field_refuses_an_output_of_another_rank(calls):
     if calls.observer.field:
-        refused(calls.observer.field, calls.gains, calls.memory, calls.now, calls.y[None])
+        assert_type_error(calls.observer.field, calls.gains, calls.memory, calls.now, calls.y[None])

@@ -139,7 +139,7 @@ def test_nonlinear_plant_with_delayed_samples_equals_the_reference(monkeypatch):
     assert np.abs(x - got)[-20:].max() < 0.1 * np.abs(x - got)[0].max()
 
 
-def refused(model=CART, **changed):
+def assert_refusal(model=CART, **changed):
     known = context_of(Case(model, 10, 0))._replace(**changed)
     OBSERVERS["super-twisting"].design(known, OBSERVERS["super-twisting"].options())
 
@@ -164,9 +164,9 @@ def refused(model=CART, **changed):
     ],
 )
 def test_plant_without_position_and_rate_is_refused(model, changed, found):
-    refused()
+    assert_refusal()
     with pytest.raises(UserError, match=f"super-twisting in case: got {found}"):
-        refused(model, **changed)
+        assert_refusal(model, **changed)
 
 
 def test_bound_of_zero_is_refused():

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 from commands import call
-from delays import judged
-from documents import PAGES, fenced, tables
+from delays import score
+from documents import PAGES, code_blocks, tables
 from reference import linear, unknown_delay
 from reference.linear import Sample
 
@@ -33,7 +33,7 @@ STUDY = {
 SCENARIO = "cart/unknown-delay"
 
 
-def traced(name, **given):
+def simulate_observer(name, **given):
     """The trace of an observer, and what the reference takes of it."""
     trace = pcbench.simulate(STUDY | given, name, seed=2)
     y = trace[["y1", "y2"]].to_numpy()
@@ -42,22 +42,22 @@ def traced(name, **given):
     return trace[[f"{name}.a", f"{name}.b"]].to_numpy(), u, samples
 
 
-def told():
+def design_arguments():
     return linear.Model(np.array(A), np.array(B), np.array(C), TICK), np.diag(np.square(PRIOR)), np.array(R), np.diag(Q)
 
 
 @pytest.mark.ci
 def test_the_bank_is_the_mixture_of_textbook_filters():
-    got, u, samples = traced("mmae-delay")
-    model, P0, variance, noise = told()
+    got, u, samples = simulate_observer("mmae-delay")
+    model, P0, variance, noise = design_arguments()
     want, _ = unknown_delay.bank(model, u, samples, XHAT0, P0, variance, noise, [1, 4, 7, 8, 18], 0.3, 0.2, LATE)
     np.testing.assert_allclose(got, want[:, :2], rtol=0, atol=1e-10)
 
 
 @pytest.mark.ci
 def test_the_delay_as_a_state_is_what_the_loops_make_of_it():
-    got, u, samples = traced("ekf-delay")
-    model, P0, variance, noise = told()
+    got, u, samples = simulate_observer("ekf-delay")
+    model, P0, variance, noise = design_arguments()
     want = unknown_delay.ekf_delay(model, u, samples, XHAT0, P0, variance, noise, 0.3, 0.2, 14, 0.001 * TICK, LATE)
     np.testing.assert_allclose(got, want[:, :2], rtol=0, atol=1e-10)
 
@@ -65,7 +65,7 @@ def test_the_delay_as_a_state_is_what_the_loops_make_of_it():
 @pytest.mark.ci
 def test_a_bank_of_the_right_delay_alone_is_the_filter_that_knows_it():
     given = {"mmae-delay": {"R": R, "Q": Q, "delays": [LATE * TICK]}, "kf": {"R": R, "Q": Q}}
-    bank, *_ = traced("mmae-delay", options=given)
+    bank, *_ = simulate_observer("mmae-delay", options=given)
     trace = pcbench.simulate(STUDY | {"options": given, "observers": ["kf"]}, "kf", seed=2)
     np.testing.assert_allclose(bank, trace[["kf.a", "kf.b"]], rtol=0, atol=1e-10)
 
@@ -118,7 +118,7 @@ def test_the_guides_table_is_what_comes_out():
 def test_begun_near_the_delay_as_a_state_is_honest_and_begun_far_it_is_biased_and_over_confident():
     """Of 256 runs, as the guide has it: nees within a tenth of 1 where it is near; a bias of ten standard errors where not."""
     far, noisy = {"unknown0": [0.6], "unknown_std": [0.2]}, {"noise_std": 0.5}
-    near, off, loud = (judged(256, **given) for given in ({}, far, far | noisy))
+    near, off, loud = (score(256, **given) for given in ({}, far, far | noisy))
     found = [near["ekf-delay"], off["ekf-delay"], loud["ekf-delay"], loud["mmae-delay"]]
     table = (
         PAGES["delay_findings.md"].split("The next table shows the delay error")[1].split("The next table repeats")[0]
@@ -183,7 +183,7 @@ def test_what_cannot_be_is_one_sentence(options, sentence):
 @pytest.mark.nightly
 def test_the_pages_own_plant_gives_the_printed_numbers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (text,) = (b.text for b in fenced("unknown_delay.md") if b.title == "motor.toml")
+    (text,) = (b.text for b in code_blocks("unknown_delay.md") if b.title == "motor.toml")
     (tmp_path / "motor.toml").write_text(text)
     steady = pcbench.run("motor.toml").stats.query("signal == 'angle' and metric == 'steady_rmse'")
     errors = steady.set_index("observer")["mean"]

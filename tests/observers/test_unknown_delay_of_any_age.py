@@ -24,7 +24,7 @@ Q = process_noise(MODEL.A, W, H)
 RIGHT = {"mmae-delay": {"delays": [MEAN * H]}, "ekf-delay": {"delay": MEAN * H, "longest": 0.8}}
 
 
-def found(name, schedule, options, noise=True, perfect=False):
+def run_observer(name, schedule, options, noise=True, perfect=False):
     start = starts(CASE)[0 if perfect else 1]
     there = driven.traffic(TIMES[schedule], plant(schedule, noise)[1], TICKS, 2)
     return driven.run(name, KNOWN, options, there, inputs(CASE), start)
@@ -33,7 +33,7 @@ def found(name, schedule, options, noise=True, perfect=False):
 @pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 def test_a_bank_of_the_right_delay_is_the_optimum_whatever_is_late_lost_or_out_of_sequence(schedule):
-    xhat, P = found("mmae-delay", schedule, RIGHT["mmae-delay"])
+    xhat, P = run_observer("mmae-delay", schedule, RIGHT["mmae-delay"])
     same(xhat, optimum(schedule))
     same(P, of_family("kf", schedule)[1])
 
@@ -45,7 +45,7 @@ def test_a_bank_is_the_mixture_of_textbook_filters_of_all_samples_in_their_order
     options = {"delays": [d * H for d in delays], "delay": 0.3, "delay_std": 0.2}
     given = MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, Q
     want, P_end = unknown_delay.bank(*given, delays, 0.3, 0.2, MEAN)
-    xhat, P = found("mmae-delay", schedule, options)
+    xhat, P = run_observer("mmae-delay", schedule, options)
     same(xhat, want[:, :-1])
     same(P[-1], P_end[:-1, :-1])
 
@@ -55,18 +55,18 @@ def test_the_delay_as_a_state_is_what_the_loops_make_of_samples_of_any_age(sched
     options = {"delay": 0.3, "delay_std": 0.1, "longest": 0.8, "delay_walk": 0.001}
     given = MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, Q
     want = unknown_delay.ekf_delay(*given, 0.3, 0.1, 40, 0.001 * H, MEAN, OLDEST)
-    same(found("ekf-delay", schedule, options)[0], want[:, :-1])
+    same(run_observer("ekf-delay", schedule, options)[0], want[:, :-1])
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("schedule", TIMES)
 @pytest.mark.parametrize("name", RIGHT)
 def test_from_a_perfect_start_at_the_right_delay_there_is_no_error(name, schedule):
-    xhat, _ = found(name, schedule, RIGHT[name], noise=False, perfect=True)
+    xhat, _ = run_observer(name, schedule, RIGHT[name], noise=False, perfect=True)
     x = plant(schedule, noise=False)[0]
     assert np.abs(xhat - x).max() < 1e-12 * np.abs(x).max()
     slipped = {"mmae-delay": {"delays": [(MEAN + 1) * H]}, "ekf-delay": {"delay": (MEAN + 1) * H, "longest": 0.8}}
-    xhat, _ = found(name, schedule, slipped[name], noise=False, perfect=True)
+    xhat, _ = run_observer(name, schedule, slipped[name], noise=False, perfect=True)
     assert np.abs(xhat - x).max() > 1e-4 * np.abs(x).max(), "a tick of slip is seen"
 
 

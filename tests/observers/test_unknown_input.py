@@ -62,7 +62,7 @@ ROUNDING = {
 }
 
 
-def planned(scenario, observers, dt, ticks):
+def plan_cell(scenario, observers, dt, ticks):
     """A scenario on ticks of dt seconds, over fewer of them."""
     s = SCENARIOS[scenario]
     s = s.with_fields(dt=dt, sampling_period=(dt, dt), duration=ticks * dt, steady_start=ticks * dt / 2)
@@ -71,7 +71,7 @@ def planned(scenario, observers, dt, ticks):
     return p
 
 
-def recorded(p, problem=None):
+def record(p, problem=None):
     """One run, arrays [N+1, ...]."""
     out = trajectory.jit_record()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
@@ -97,7 +97,7 @@ def agree(got, d, ticks, dt):
 @pytest.fixture(scope="module")
 def second():
     """One second and a tick of arm/sine."""
-    return recorded(planned("arm/sine", ALL, ui.DT, 10_001))
+    return record(plan_cell("arm/sine", ALL, ui.DT, 10_001))
 
 
 @pytest.mark.ci
@@ -109,13 +109,13 @@ def test_the_sine_equals_the_reference_tick_by_tick(second):
 @cache
 def short():
     """Eleven hundred ticks of arm/sawtooth, 2 ms each: its first fall is at tick 1000."""
-    return planned("arm/sawtooth", FINDERS, 2e-3, 1100)
+    return plan_cell("arm/sawtooth", FINDERS, 2e-3, 1100)
 
 
 @pytest.mark.ci
 def test_the_sawtooth_equals_the_reference_tick_by_tick_past_its_fall():
     """d falls at the end of a tick, and the fourth stage of that tick takes the value after the fall."""
-    got = recorded(short())
+    got = record(short())
     assert got.x[999, 4] == pytest.approx(0.35, abs=0.002)
     assert got.x[1000, 4] == 0
     agree(got, ui.d2, 1100, 2e-3)
@@ -147,7 +147,7 @@ A11, A211 = np.array([[0, 0], [15 / 4, -0.005 / 4]]), np.array([[0.0, 1.0]])  # 
 sizes = st.floats(-3.0, 3.0)
 
 
-def pushed(p, name, size):
+def replace_input(p, name, size):
     """The plant's numbers under another unknown input."""
     s = p.cell.scenario
     numbers = PLANTS["arm"].numbers._replace(unknown_input=name)
@@ -187,9 +187,9 @@ def test_what_is_not_measured_decays_freely_whatever_the_input_does(signal, size
     A tick of 2 ms is one Runge-Kutta step, so what is expected is that step of A11 - L1 A211 and not its exponential.
     """
     p = short()
-    params, gains = pushed(p, signal, size), with_gains(p, np.array(L1)[:, None], rho, eps)
+    params, gains = replace_input(p, signal, size), with_gains(p, np.array(L1)[:, None], rho, eps)
     start = {"x0": np.array(x0), "xhat0": np.array(xhat0)}
-    got = recorded(p, jax.tree.map(np.asarray, p.problem._replace(params=params, gains=gains, **start)))
+    got = record(p, jax.tree.map(np.asarray, p.problem._replace(params=params, gains=gains, **start)))
     A = (A11 - np.array(L1)[:, None] @ A211) * 2e-3
     tick = np.eye(2) + A @ (np.eye(2) + A / 2 @ (np.eye(2) + A / 3 @ (np.eye(2) + A / 4)))
     for name in FINDERS:

@@ -50,7 +50,7 @@ def planned(variant="predict", observers=FINDERS, **changes):
     return dict(zip(TIMES, planning.plan(parse.parse(raw, "own")), strict=True))
 
 
-def recorded(p, seed=0, problem=None):
+def record(p, seed=0, problem=None):
     """One run, arrays [N+1, ...]."""
     out = trajectory.jit_record()(p.layout, problem or p.problem, np.asarray(0), np.asarray(seed))
     return jax.tree.map(np.asarray, out)
@@ -69,7 +69,7 @@ def test_the_plant_moves_as_a_loop_of_exact_ticks_with_the_unknown_input_held():
     x = [np.array(X0)]
     for k in range(TICKS):
         x.append(Phi @ x[k] + Gamma @ u[k] + push @ f[k])
-    got = recorded(planned()[1, 0])
+    got = record(planned()[1, 0])
     np.testing.assert_allclose(got.x, np.hstack([x, f]), rtol=0, atol=1e-12 * np.abs(x).max())
 
 
@@ -123,7 +123,7 @@ def follow(parts, observer, u, y, d, xhat0, option):
     return np.array(out)
 
 
-def measured(got, d):
+def measurements(got, d):
     """What was measured at each tick, from what arrives d ticks later; NaN of what is still on its way at the end."""
     return np.concatenate([got.newest[d:], np.full((d, got.newest.shape[1]), np.nan)])
 
@@ -134,11 +134,16 @@ def measured(got, d):
 )
 def test_smo_and_pio_with_designed_gains_equal_a_loop_in_numpy(times, variant):
     p = planned(variant)[times]
-    got = recorded(p, seed=times[0] + times[1])
+    got = record(p, seed=times[0] + times[1])
     for name in FINDERS:
         assert p.certificates[name].margin > 0.99
         want = follow(
-            *observer_of(name, p), known_input(), measured(got, times[1]), times[1], np.array(XHAT0), VARIANTS[variant]
+            *observer_of(name, p),
+            known_input(),
+            measurements(got, times[1]),
+            times[1],
+            np.array(XHAT0),
+            VARIANTS[variant],
         )
         np.testing.assert_allclose(got.estimates[name], want, rtol=0, atol=1e-10 * np.abs(want).max(), err_msg=name)
 
@@ -147,11 +152,11 @@ def test_smo_and_pio_with_designed_gains_equal_a_loop_in_numpy(times, variant):
 @pytest.mark.parametrize("times", TIMES, ids=str)
 def test_kf_with_the_input_as_a_random_walk_equals_the_reference(times):
     te, d = times
-    got = recorded(planned(observers=("kf",))[times], seed=te)
+    got = record(planned(observers=("kf",))[times], seed=te)
     n, A = 3, np.zeros((4, 4))
     A[:n, :n], A[:n, n:] = PUSHED.A, PUSHED.E
     model = linear.Model(A, np.vstack([PUSHED.B, np.zeros((1, 2))]), np.hstack([PUSHED.C, np.zeros((2, 1))]), TICK)
-    sent = measured(got, d)
+    sent = measurements(got, d)
     y = [linear.Sample(k + d, k, j, k // te, sent[k, j]) for k in range(0, TICKS - d + 1, te) for j in range(2)]
     P0, W = np.diag([*np.square(np.subtract(X0, XHAT0)), SIZE**2]), np.diag([0, 0, 0, SIZE**2])
     want = irregular.kf(model, known_input(), y, np.array([*XHAT0, 0.0]), P0, np.square(NOISE), W, None, D)
@@ -180,7 +185,7 @@ def test_perfect_start_is_zero_but_for_what_a_runge_kutta_step_leaves_out(times)
     p = planned("carry", **PERFECT)[times]
     a_tick = np.linalg.norm(PUSHED.A * TICK, 2) ** 5 / 120
     assert a_tick < 2.5e-14
-    worst = errors(recorded(p, problem=without_sign(p)))
+    worst = errors(record(p, problem=without_sign(p)))
     assert max(worst.values()) < 3 * TICKS * a_tick
 
 
@@ -188,7 +193,7 @@ def test_perfect_start_is_zero_but_for_what_a_runge_kutta_step_leaves_out(times)
 def test_one_tick_of_slip_in_the_age_is_caught_by_the_feedthrough(slip):
     p = planned("carry", **PERFECT)[12, 30]
     whole, plan = without_sign(p), p.problem.schedule
-    got = recorded(p, problem=whole._replace(schedule=plan._replace(timestamp=plan.timestamp - slip)))
+    got = record(p, problem=whole._replace(schedule=plan._replace(timestamp=plan.timestamp - slip)))
     assert min(errors(got).values()) > 1e-4
 
 
@@ -198,7 +203,7 @@ def test_a_known_input_that_is_one_tick_late_is_caught():
     whole, u = without_sign(p), known_input()[:, :1]
     late = np.vstack([[[0.0]], u[:-1]]) - u
     params = whole.params._replace(Gamma_f=whole.params.Gamma[:, :1], f=late)
-    got = recorded(p, problem=whole._replace(params=params))
+    got = record(p, problem=whole._replace(params=params))
     assert min(errors(got).values()) > 1e-4
 
 

@@ -41,13 +41,13 @@ def own(observer="smo", options=None, **changes):
     return {"name": "own", "lti": lti, "observers": [observer], "options": {observer: options or {}}}
 
 
-def published(scenario, observer, options=None, axes=None, choices=None):
+def study_table(scenario, observer, options=None, axes=None, choices=None):
     given = {name: table for name, table in ((observer, options), ("scenario", choices)) if table}
     return {"name": "study", "scenarios": [scenario], "observers": [observer], "options": given, "axes": axes or {}}
 
 
 def option(observer, **options):
-    return published("arm/sampled", observer, options)
+    return study_table("arm/sampled", observer, options)
 
 
 REFUSED = {
@@ -82,10 +82,10 @@ REFUSED = {
     ),
     "late by chance": (own(delay_jitter=0.01), r"got a delay_jitter of 0\.01 s, expected one constant delay"),
     "on the cart": (
-        published("cart/nominal", "smo"),
+        study_table("cart/nominal", "smo"),
         r"smo in cart/nominal: the plant has no unknown input, expected .* use another",
     ),
-    "on the tank": (published("csth/10s", "pio"), r"pio in csth/10s: the plant has no unknown input"),
+    "on the tank": (study_table("csth/10s", "pio"), r"pio in csth/10s: the plant has no unknown input"),
     "paper gains elsewhere": (
         own(options={"gains": "paper"}, A=STIFFER),
         "printed for the arm, on another plant; expected 'design'",
@@ -123,12 +123,12 @@ REFUSED = {
     ),
     # continuous measurement has no sampler
     "kf": (
-        published("arm/sine", "kf"),
+        study_table("arm/sine", "kf"),
         "kf in arm/sine got continuous measurements, expected samples.*one of smo, pio, model-only",
     ),
     **{
         f"axis {name}": (
-            published(scenario, "smo", axes={name: [value]}),
+            study_table(scenario, "smo", axes={name: [value]}),
             rf"got {name} = {value} in {scenario}, .*arm/sampled",
         )
         for scenario, name, value in [
@@ -142,11 +142,11 @@ REFUSED = {
     },
     # choices
     "float32": (
-        published("arm/sine", "smo", choices={"precision": "float32"}),
+        study_table("arm/sine", "smo", choices={"precision": "float32"}),
         "precision: got 'float32', expected float64",
     ),
     "unknown input of the cart": (
-        published("cart/nominal", "kf", choices={"unknown-input": "sine"}),
+        study_table("cart/nominal", "kf", choices={"unknown-input": "sine"}),
         r"unknown_input: got 'sine' for cart/nominal, whose plant has no unknown input; expected a scenario such as arm/sine",
     ),
     "unknown input of an lti": (
@@ -154,7 +154,7 @@ REFUSED = {
         "got 'sine' for lti, whose plant has no unknown input",
     ),
     "no such signal": (
-        published("arm/sine", "smo", choices={"unknown_input": "cosine"}),
+        study_table("arm/sine", "smo", choices={"unknown_input": "cosine"}),
         "'cosine' is no input; did you mean 'sine'",
     ),
     # a plant of one's own
@@ -175,7 +175,7 @@ REFUSED = {
     "a size below 0": (own(unknown_std=[-1.0]), r"lti\.unknown_std\[0\]: got -1\.0"),
     "a size of 0": (own(unknown_std=[0.0]), r"lti\.unknown_std\[0\]: got 0\.0"),
     "two columns for one": (own(unknown_input="heater-1s"), r"unknown_input: .*heater-1s"),
-    "two columns for the arm's": (published("arm/sine", "smo", choices={"unknown_input": "heater-1s"}), "heater-1s"),
+    "two columns for the arm's": (study_table("arm/sine", "smo", choices={"unknown_input": "heater-1s"}), "heater-1s"),
     "settle_band": (own(settle_band=[1.0] * 4), r"lti\.settle_band: got 4 numbers, expected 5, one for each signal"),
 }
 
@@ -199,7 +199,7 @@ def test_the_same_studies_without_the_mistake_are_planned():
         own("pio"),
         own("kf", E=None),
         own(unknown_std=[2.0], settle_band=[1.0] * 5),
-        published("arm/sine", "smo"),
+        study_table("arm/sine", "smo"),
     ]
     good += [
         option("pio", xi=0.1, beta=0.5, gains="design"),
@@ -213,7 +213,7 @@ def test_the_same_studies_without_the_mistake_are_planned():
 
 def test_a_planned_cell_is_not_run_in_float32():
     """Whoever leaves the library's front doors has to switch float64 on: nothing is computed quietly in less."""
-    study = parse.parse(published("arm/sampled", "smo"), "study")
+    study = parse.parse(study_table("arm/sampled", "smo"), "study")
     with config.float64():
         planned = planning.plan(study)
     with jax.enable_x64(False), pytest.raises(UserError, match="float64") as error:

@@ -86,7 +86,7 @@ def wild(case, clock, observer, options):
     return layout, jax.tree.map(np.asarray, p._replace(schedule=plan, gains={observer: design.gains})), design, times
 
 
-def expected(observer, options, model, u, samples, xhat0, design, case):
+def reference_pco(observer, options, model, u, samples, xhat0, design, case):
     if observer == "pccebo":
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
     if observer == "lmi-sampled":
@@ -130,7 +130,7 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
     x, samples = reference.simulate(model, u, x0, times, draws)
     size = np.abs(x).max()
     np.testing.assert_allclose(got.x, x, rtol=0, atol=1e-10 * size)
-    want = expected(observer, options, model, u, samples, xhat0, design, case)
+    want = reference_pco(observer, options, model, u, samples, xhat0, design, case)
     np.testing.assert_allclose(got.estimates[observer], want, rtol=0, atol=1e-10 * max(size, np.abs(want).max()))
 
 

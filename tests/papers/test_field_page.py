@@ -27,7 +27,7 @@ def test_every_study_and_scenario_of_the_tables_exists():
     studies = [re.findall(r"`([\w-]+)`", row[2]) for row in rows("example | question")]
     named = [re.findall(r"`([\w/-]+)`", row[1]) for row in rows("example | scenarios")]
     assert len(studies) == 12
-    assert {name for each in studies for name in each} <= STUDIES.keys()
+    assert {name for study in studies for name in study} <= STUDIES.keys()
     assert {name for each in named for name in each} <= SCENARIOS.keys()
     families = {name.split("/")[0] for each in named for name in each}
     assert families == {

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from helicopters import planned, record
+from helicopters import plan_run, record
 
 from pcbench.papers import PAPERS
 from pcbench.synthesis import sampled_high_gain
@@ -80,6 +80,6 @@ def test_the_linear_limit_of_the_sampling_period():
 @pytest.mark.nightly
 def test_half_a_tick_more_of_the_commands_delay_moves_the_yaw_rate():
     """Up to 0.4 rad/s for commands held from a tick's start; half a tick more of delay gives half of that."""
-    runs = [record(planned("high-gain", 20.0, name="varying", actuator_delay=d)) for d in (0.03, 0.0305)]
+    runs = [record(plan_run("high-gain", 20.0, name="varying", actuator_delay=d)) for d in (0.03, 0.0305)]
     apart = np.abs(runs[0].x[:, 3] - runs[1].x[:, 3]).max()
     assert apart == pytest.approx(0.196, abs=0.02)

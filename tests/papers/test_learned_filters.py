@@ -26,7 +26,7 @@ def slope(f, x):
     return np.array(columns).T
 
 
-def extended(f, h, x, P, Q, R, y):
+def extended_filter(f, h, x, P, Q, R, y):
     """Estimates of the extended Kalman filter, R one for each measurement."""
     out = []
     for each, noise in zip(y, R, strict=True):
@@ -53,7 +53,7 @@ def test_extended_filter_of_the_lorenz_system_equals_numpy(terms):
     start = taylor(terms, np.ones(3))
     R = np.broadcast_to(np.eye(3), (len(y), 3, 3))
     P, Q = 0.01 * np.eye(3), 1.69 * 0.01 * np.eye(3)
-    want = extended(lambda x: taylor(terms, x), lambda x: x, start, P, Q, R, np.asarray(y))
+    want = extended_filter(lambda x: taylor(terms, x), lambda x: x, start, P, Q, R, np.asarray(y))
     np.testing.assert_allclose(found, want, rtol=1e-10, atol=1e-10)
 
 
@@ -76,5 +76,5 @@ def test_filter_that_is_given_each_variance_equals_numpy():
     F, C = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     found = learned_filters.kalman(system, R, Q, y)
     P = system.spread @ system.spread.T
-    want = extended(lambda x: F @ x, lambda x: C @ x, F @ [0.0, 1.0], P, Q, R, np.asarray(y))
+    want = extended_filter(lambda x: F @ x, lambda x: C @ x, F @ [0.0, 1.0], P, Q, R, np.asarray(y))
     np.testing.assert_allclose(found, want, rtol=1e-10, atol=1e-10)

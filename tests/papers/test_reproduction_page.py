@@ -27,7 +27,7 @@ def parts(text):
         rest, _, missing = body.partition("### Not obtained")
         claims, _, ours = rest.partition("### Findings")
         tables = (claims, ours, missing)
-        out[name] = [[cells(li) for li in each.splitlines() if li.startswith("| ")][2:] for each in tables]
+        out[name] = [[cells(li) for li in table.splitlines() if li.startswith("| ")][2:] for table in tables]
     return out
 
 

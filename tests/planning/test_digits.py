@@ -93,14 +93,14 @@ def test_the_command_ends_with_the_sentence(tmp_path, monkeypatch):
         app(["run", "s.toml"], standalone_mode=False)
 
 
-def closed(observer, seeds):
+def closed_loop(observer, seeds):
     return study([observer], seeds, duration=9.5, input=None) | {"controller": {"use": "lqr", "Q1": [1.0], "Q2": 1.0}}
 
 
 @pytest.mark.slow
 def test_a_loop_that_is_stabilised_has_the_errors_of_the_filter():
     """The same plant and horizon with feedback: what the filter is off by does not depend on the input."""
-    stats = pcbench.run(closed("ekf", 256)).stats
+    stats = pcbench.run(closed_loop("ekf", 256)).stats
     rms = stats[stats.metric == "steady_pooled_rmse"].iloc[0]
     assert abs(rms["mean"] - right(9.5)[0]) < 4 * rms["se"]
 
@@ -127,9 +127,9 @@ def test_a_large_offset_counts_beside_the_errors(start, noise, resolved):
 def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
     """There its error is 20 times too large at e^38, by rounding of what it keeps."""
     with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
-        pcbench.run(closed(observer, 16))
+        pcbench.run(closed_loop(observer, 16))
     with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
-        pcbench.simulate(closed(observer, 16), [observer])
+        pcbench.simulate(closed_loop(observer, 16), [observer])
 
 
 @pytest.mark.ci

@@ -15,7 +15,7 @@ AXES = {"sampling_period": [0.2, 0.4], "noise_std": [0.1, 0.5], "parameter_drift
 STUDY = {"name": "map", "scenarios": ["cart/gaussian"], "observers": ["pccebo", "kf"], "axes": AXES, "seeds": 2}
 
 
-def counted(monkeypatch, module, name):
+def count_calls(monkeypatch, module, name):
     """The calls of a function of a module from here on."""
     calls, real = [], getattr(module, name)
 
@@ -31,7 +31,7 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
-    solved = counted(monkeypatch, solvers, "minimise")
+    solved = count_calls(monkeypatch, solvers, "minimise")
     cells = cells_of(parse.parse(STUDY, "map"))
     several = list(planning.drafts(cells[:1]))
     once = len(solved)
@@ -49,7 +49,7 @@ def test_what_is_expensive_in_designs_is_computed_once_for_all_cells_that_differ
 
 
 def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
-    made, cache = counted(monkeypatch, memo, "run_design"), memo.new_cache()
+    made, cache = count_calls(monkeypatch, memo, "run_design"), memo.new_cache()
     cells = cells_of(parse.parse(STUDY, "map"))
     first, second = (list(planning.drafts(cells, cache=cache)) for _ in range(2))
     assert len(made) == len(cells) * 2
@@ -58,7 +58,7 @@ def test_a_design_is_made_once_though_its_cell_is_laid_out_twice(monkeypatch):
 
 def test_keys_tell_numbers_apart_to_the_bit():
     numbers = [0.0, -0.0, 0, False, "0", None, np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.float32), (0.0,), [0.0]]
-    assert len({key_of(each) for each in numbers}) == len(numbers)
+    assert len({key_of(number) for number in numbers}) == len(numbers)
     assert key_of(np.array([np.nan])) == key_of(np.array([np.nan]))
     with pytest.raises(TypeError):
         key_of(object())

@@ -235,7 +235,7 @@ def test_a_closed_loop_has_an_estimate_of_its_observers_own_time():
 def test_an_export_runs_with_the_samples_that_there_is_time_for():
     speed, _ = slow(2)
     found = files.export_observer(having(processor_speed=speed), "kf")
-    assert exports.off(found, exports.ran(found)) < 1e-12
+    assert exports.off(found, exports.program_output(found)) < 1e-12
     want = pcbench.simulate(having(processor_speed=speed), "kf")[["kf.a", "kf.b"]]
     np.testing.assert_allclose(exports.estimates(found), want, rtol=0, atol=1e-12)
     assert (pcbench.simulate(having(), "kf")["kf.a"] != want["kf.a"]).any()

@@ -86,7 +86,7 @@ def loop(K, ticks, seed, knows, late=LATE, flip=1.0):
     return [np.array(each) for each in zip(*table, strict=True)]
 
 
-def simulated(scenario, observer, seed):
+def simulate(scenario, observer, seed):
     frame = pcbench.simulate(scenario, observer, seed=seed)
     return frame[SIGNALS].to_numpy(), frame[[f"{observer}.{name}" for name in SIGNALS]].to_numpy()
 
@@ -101,7 +101,7 @@ CASES = [
 @pytest.mark.parametrize(("scenario", "observer", "K"), CASES)
 def test_loop_and_its_filter_are_the_references(scenario, observer, K):
     ticks, seed = 50, 3
-    got = simulated(scenario, observer, seed)
+    got = simulate(scenario, observer, seed)
     want = loop(np.array(K), ticks, seed, observer == "kf")
     for mine, theirs in zip(got, want, strict=True):
         np.testing.assert_allclose(mine[:ticks], theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
@@ -114,7 +114,7 @@ def test_loop_and_its_filter_are_the_references(scenario, observer, K):
 def test_perfect_start_of_the_loop():
     table = {"base": "camera-target/following", "process_std": [0.0] * 3, "noise_std": [0.0, 0.0],
              "assumed_noise_std": [0.005, 0.0005], "xhat0": list(X0), "assumed_process_std": list(W_STD)}  # fmt: skip
-    x, xhat = simulated({"name": "perfect", "scenario": table}, "kf", 0)
+    x, xhat = simulate({"name": "perfect", "scenario": table}, "kf", 0)
     assert np.abs(x - xhat).max() < 1e-13
     assert np.abs(x[-20:, 0]).max() < 0.05 < np.abs(x[:, 0]).max()  # the platform reaches the target
 

@@ -24,7 +24,7 @@ P0 = np.diag([100.0, 10.0, 100.0, 10.0, 1e-4])
 STARTS = {"printed": (1000.0, 300.0, 1000.0, 0.0, np.radians(-3.0)), "behind": (-6000.0, 50.0, 400.0, -60.0, 0.002)}
 
 
-def moved(x):
+def move(x):
     w = x[4]
     s, c = np.sin(w) / w, 2 * np.sin(w / 2) ** 2 / w  # 1 - cos(w) loses digits where w is small
     return np.array(
@@ -38,7 +38,7 @@ def moved(x):
     )
 
 
-def seen(x):
+def output(x):
     return np.array([np.hypot(x[0], x[2]), np.arctan2(x[2], x[0])])
 
 
@@ -49,7 +49,7 @@ def slopes(f, x):
 
 def turn_slope(x):
     """d moved / dx by complex steps."""
-    return np.array([moved(x + 1e-30j * e).imag / 1e-30 for e in np.eye(5)]).T
+    return np.array([move(x + 1e-30j * e).imag / 1e-30 for e in np.eye(5)]).T
 
 
 def sight_slope(x):
@@ -57,7 +57,7 @@ def sight_slope(x):
     return np.array([[x[0] / r, 0, x[2] / r, 0, 0], [-x[2] / r**2, 0, x[0] / r**2, 0, 0]])
 
 
-def wrapped(y):
+def wrap(y):
     return np.array([y[0], np.angle(np.exp(1j * y[1]))])
 
 
@@ -66,19 +66,19 @@ def run(x, noise):
     path = [np.array(x)]
     for k in range(STEPS):
         w = np.array([threefry.normal(0, SEED, "process", j, k) for j in range(5)])
-        path.append(moved(path[-1]) + noise @ w)
+        path.append(move(path[-1]) + noise @ w)
     v = [[threefry.normal(0, SEED, "measurement", j, i) for j in range(2)] for i in range(STEPS)]
-    return np.array(path), [seen(x) + np.sqrt(np.diag(R)) * e for x, e in zip(path[1:], np.array(v), strict=True)]
+    return np.array(path), [output(x) + np.sqrt(np.diag(R)) * e for x, e in zip(path[1:], np.array(v), strict=True)]
 
 
-def extended(z, P, ys):
+def extended_filter(z, P, ys):
     out = [z]
     for y in ys:
         F = turn_slope(z)
-        z, P = moved(z), F @ P @ F.T + Q
+        z, P = move(z), F @ P @ F.T + Q
         H = sight_slope(z)
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-        z, P = z + K @ wrapped(y - seen(z)), P - K @ H @ P
+        z, P = z + K @ wrap(y - output(z)), P - K @ H @ P
         out.append(z)
     return np.array(out)
 
@@ -90,15 +90,15 @@ def cubature(z, P, ys):
 
     out = [z]
     for y in ys:
-        X = np.array([moved(each) for each in points(z, P)])
+        X = np.array([move(point) for point in points(z, P)])
         z = X.mean(0)
         P = (X - z).T @ (X - z) / 10 + Q
         X = points(z, P)
-        at = seen(z)
-        Y = np.array([wrapped(seen(each) - at) for each in X])  # from what is seen of the centre
+        at = output(z)
+        Y = np.array([wrap(output(each) - at) for each in X])  # from what is seen of the centre
         mean = Y.mean(0)
         S, across = (Y - mean).T @ (Y - mean) / 10 + R, (X - z).T @ (Y - mean) / 10
-        z = z + across @ np.linalg.solve(S, wrapped(y - at - mean))
+        z = z + across @ np.linalg.solve(S, wrap(y - at - mean))
         P = P - across @ np.linalg.solve(S, across.T)
         out.append(z)
     return np.array(out)
@@ -107,7 +107,7 @@ def cubature(z, P, ys):
 def test_linear_model_is_the_slope_at_the_start():
     model, x = coordinated_turn.nominal(coordinated_turn.Numbers()), np.array(coordinated_turn.START)
     np.testing.assert_allclose(model.A, turn_slope(x), rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(model.C, slopes(seen, x), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(model.C, slopes(output, x), rtol=0, atol=1e-7)
     assert not model.B.any()
 
 
@@ -138,7 +138,7 @@ def test_run_and_its_filters_are_the_references(start):
     path, ys = run(x, np.linalg.cholesky(Q))
     jumps = np.abs(np.diff([y[1] for y in ys])).max() > 6
     assert jumps == (start == "behind")
-    for prefix, want in (("", path), ("ekf.", extended(z, P0, ys)), ("ukf.", cubature(z, P0, ys))):
+    for prefix, want in (("", path), ("ekf.", extended_filter(z, P0, ys)), ("ukf.", cubature(z, P0, ys))):
         for j, name in enumerate(SIGNALS):
             got, theirs = frame[prefix + name].to_numpy(), want[:, j]
             np.testing.assert_allclose(got, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max(), err_msg=prefix + name)

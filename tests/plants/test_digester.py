@@ -49,7 +49,7 @@ def rate(x, u):
     )
 
 
-def seen(x):
+def output(x):
     return np.array([*gas(x), x[2], 1 - x[3] / 1000, 1 - x[9] / (1000 - x[3])])
 
 
@@ -70,7 +70,7 @@ def fast_slopes(x):
     return out
 
 
-def moved(x, u):
+def move(x, u):
     """A tick: four steps of ROS2 with gamma = 1 + 1/sqrt(2)."""
     for _ in range(4):
         W = np.eye(12) - (1 + np.sqrt(0.5)) * H * fast_slopes(x)
@@ -80,7 +80,7 @@ def moved(x, u):
     return x
 
 
-def stepped(x, u):
+def plant_step(x, u):
     """The same by pcbench, of concentrations."""
     with config.float64():
         p = digester.prepare(digester.Numbers(), 1800.0, 1)
@@ -137,7 +137,7 @@ def test_linear_model_is_the_slope_at_rest(point):
     model, (x, feed) = digester.nominal(digester.Numbers(point=point)), digester.operating_point(point)
     np.testing.assert_allclose(model.A * 86400, slopes(lambda z: rate(z, feed), x), rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(model.B[:, 0] * 86400, rate(x, feed + 1.0) - rate(x, feed), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(model.C, slopes(seen, x), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(model.C, slopes(output, x), rtol=1e-10, atol=1e-12)
     assert not digester.residual(digester.Numbers(point=point)).any()
     assert digester.residual(digester.Numbers(point=point, kF=0.3)).any()
 
@@ -146,10 +146,10 @@ def test_linear_model_is_the_slope_at_rest(point):
 def test_a_tick_is_the_flow_of_half_an_hour(feed):
     """Of ROS2 from a state far off rest, and from rest of an integrator for stiff systems."""
     x = digester.operating_point("slow")[0] * np.linspace(0.8, 1.1, 12)
-    np.testing.assert_allclose(stepped(x, feed) / x, moved(x, feed) / x, rtol=1e-11)
+    np.testing.assert_allclose(plant_step(x, feed) / x, move(x, feed) / x, rtol=1e-11)
     x = digester.operating_point("slow")[0]
     want = solve_ivp(lambda t, z: rate(z, feed), (0, 1 / 48), x, method="Radau", rtol=1e-10, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(stepped(x, feed), want, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(plant_step(x, feed), want, rtol=0, atol=2e-5)
 
 
 @pytest.mark.ci
@@ -171,14 +171,14 @@ def test_run_and_its_filter_are_the_references():
     mean = digester.FEEDS["slow"]
     path = [level]
     for _ in range(ticks):
-        path.append(moved(path[-1], mean))
+        path.append(move(path[-1], mean))
     std, together = np.array(base.sampling.noise_std), {}
     for j in range(6):
         for i, taken in enumerate(range(0 if j < 3 else 2, ticks + 1, every[j])):
             late = (
                 int(threefry.uniform(0, seed, "jitter", 3, i, 3)[2] * 4) + 5 if j > 2 else 0
             )  # drawn under the first channel of the clock
-            y = seen(path[taken])[j] + std[j] * threefry.normal(0, seed, "measurement", j, i)
+            y = output(path[taken])[j] + std[j] * threefry.normal(0, seed, "measurement", j, i)
             together.setdefault((taken + late, taken), []).append((j, y))
     samples = [
         nonlinear.Sample(arrival, taken, *zip(*found, strict=True)) for (arrival, taken), found in together.items()
@@ -187,14 +187,14 @@ def test_run_and_its_filter_are_the_references():
 
     def ahead(state, u):
         z, P = state
-        F = slopes(lambda x: moved(x, mean), z)
-        return moved(z, mean), F @ P @ F.T + Q
+        F = slopes(lambda x: move(x, mean), z)
+        return move(z, mean), F @ P @ F.T + Q
 
     def update(state, s):
         (z, P), some = state, list(s.channels)
-        C = slopes(seen, z)[some]
+        C = slopes(output, z)[some]
         K = np.linalg.solve(C @ P @ C.T + np.diag(R[some]), C @ P).T
-        return (z + K @ (np.array(s.values) - seen(z)[some]), P - K @ C @ P), 0.0
+        return (z + K @ (np.array(s.values) - output(z)[some]), P - K @ C @ P), 0.0
 
     first = level + np.array(base.belief.xhat0), np.eye(12)
     found = [z for z, _ in nonlinear.run(first, ahead, update, samples, np.zeros(ticks + 1))[0]]

@@ -11,7 +11,7 @@ Q, R = 10.0, 1.0
 VARIANTS = {"gordon": (0.1, 2.0, 0, 50), "arulampalam": (0.0, 10.0, 1, 100)}  # x(0), P(0), phase, steps
 
 
-def moved(x, k):
+def move(x, k):
     return x / 2 + 25 * x / (1 + x**2) + 8 * np.cos(1.2 * k)
 
 
@@ -19,16 +19,16 @@ def run(x0, phase, steps):
     """The states of all steps and the measurements from step 1 on, with the draws of the run."""
     x = [x0]
     for k in range(steps):
-        x.append(moved(x[-1], k + phase) + np.sqrt(Q) * threefry.normal(0, SEED, "process", 0, k))
+        x.append(move(x[-1], k + phase) + np.sqrt(Q) * threefry.normal(0, SEED, "process", 0, k))
     v = [threefry.normal(0, SEED, "measurement", 0, i) for i in range(steps)]
     return np.array(x), np.array(x[1:]) ** 2 / 20 + v
 
 
-def extended(y, P, phase):
+def extended_filter(y, P, phase):
     m, out = 0.0, [0.0]
     for k in range(len(y)):
         slope = 0.5 + 25 * (1 - m**2) / (1 + m**2) ** 2
-        m, P = moved(m, k + phase), slope**2 * P + Q
+        m, P = move(m, k + phase), slope**2 * P + Q
         H = m / 10
         S = H * P * H + R
         m, P = m + P * H / S * (y[k] - m**2 / 20), P - (P * H) ** 2 / S
@@ -44,7 +44,7 @@ def unscented(y, P, phase):
         return m + np.sqrt(3 * P) * np.array([0.0, 1.0, -1.0])
 
     for k in range(len(y)):
-        z = moved(points(m, P), k + phase)
+        z = move(points(m, P), k + phase)
         m = w @ z
         P = w @ (z - m) ** 2 + Q
         z = points(m, P)
@@ -62,7 +62,7 @@ def test_run_and_its_filters_are_the_references(variant):
     frame = pcbench.simulate(f"growth-model/{variant}", ["ekf", "ukf"], seed=SEED)
     assert len(frame) == steps + 2
     x, y = run(x0, phase, steps)
-    for name, want in (("x", x), ("ekf.x", extended(y, P0, phase)), ("ukf.x", unscented(y, P0, phase))):
+    for name, want in (("x", x), ("ekf.x", extended_filter(y, P0, phase)), ("ukf.x", unscented(y, P0, phase))):
         np.testing.assert_allclose(frame[name].to_numpy()[: steps + 1], want, rtol=0, atol=1e-10 * np.abs(want).max())
 
 

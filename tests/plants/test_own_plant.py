@@ -107,7 +107,7 @@ def test_perfect_start_holds(own, observer):
 @pytest.mark.ci
 def test_for_small_angles_it_is_the_linear_plant(own):
     """Of 1e-6 rad the sine is off by 1e-18: the same numbers as `[lti]` with the matrices by hand, to 1e-9 of the signals."""
-    A, B, C = (each.tolist() for each in matrices())
+    A, B, C = (matrix.tolist() for matrix in matrices())
     kept = {
         key: (TABLE | SMALL)[key]
         for key in ("sampling_period", "delay", "noise_std", "duration", "input", "x0", "prior_std")

@@ -28,7 +28,7 @@ from pcbench.runtime.progress import SILENT
 LATE = 0.0873  # s: not a whole number of ticks
 
 
-def found(log, study, observer="kf", longest=None):
+def find_delays(log, study, observer="kf", longest=None):
     """The delays of a recording, without the fit of the noise after it."""
     a = open_playback(log, study, [observer])
     return tuning._find_delays(a, None, longest, "test", SILENT)
@@ -174,7 +174,7 @@ def profiled(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(delay_profile, "Profile", Kept)
-        results = found(folder, plant(), longest=0.3)
+        results = find_delays(folder, plant(), longest=0.3)
     return columns, u, kept[0], results
 
 
@@ -236,7 +236,7 @@ def test_delays_of_three_recordings_are_found_within_their_intervals(tmp_path):
     for seed in range(3):
         late, every = unknown(seed)
         recording(tmp_path / str(seed), seed, [late], [every])
-        ((one,), _) = found(tmp_path / str(seed), plant())
+        ((one,), _) = find_delays(tmp_path / str(seed), plant())
         assert one.estimate == pytest.approx(late, abs=0.01)
         assert one.low <= late <= one.high
 
@@ -247,7 +247,7 @@ def coverage(folder, seeds):
     for seed in seeds:
         late, every = unknown(seed)
         recording(folder / str(seed), seed, [late], [every])
-        ((one,), _) = found(folder / str(seed), plant())
+        ((one,), _) = find_delays(folder / str(seed), plant())
         held.append(one.low <= late <= one.high)
         errors.append(abs(one.estimate - late))
     return sum(held), max(errors)
@@ -272,7 +272,7 @@ def test_intervals_hold_the_delay_in_at_least_90_of_100_recordings(tmp_path):
 def test_two_channels_have_a_delay_each(tmp_path):
     late = [0.09, 0.02]
     recording(tmp_path / "log", 5, late, [4, 2])
-    every, _ = found(tmp_path / "log", plant(2, sampling_period=[0.04, 0.02], noise_std=[0.05, 0.3]))
+    every, _ = find_delays(tmp_path / "log", plant(2, sampling_period=[0.04, 0.02], noise_std=[0.05, 0.3]))
     for one, true in zip(every, late, strict=True):
         assert one.estimate == pytest.approx(true, abs=0.01)
         assert one.low <= true <= one.high
@@ -282,7 +282,7 @@ def test_two_channels_have_a_delay_each(tmp_path):
 @pytest.mark.parametrize("observer", ["ekf", pytest.param("ukf", marks=pytest.mark.slow)])
 def test_filters_for_nonlinear_plants_find_the_same_delay_on_a_linear_one(tmp_path, observer):
     recording(tmp_path / "log", 6, [LATE], lasts=4.0)
-    ((want,), _), ((one,), _) = (found(tmp_path / "log", plant(), name, 0.15) for name in ("kf", observer))
+    ((want,), _), ((one,), _) = (find_delays(tmp_path / "log", plant(), name, 0.15) for name in ("kf", observer))
     assert [one.estimate, one.low, one.high] == pytest.approx([want.estimate, want.low, want.high], abs=1e-4)
 
 
@@ -290,9 +290,9 @@ def test_filters_for_nonlinear_plants_find_the_same_delay_on_a_linear_one(tmp_pa
 def test_noise_of_each_measurement_is_used(tmp_path):
     columns, _ = recording(tmp_path / "log", 6, [LATE], lasts=6.0)
     std = np.full(len(columns["value"]), 0.05)  # what the plant file says
-    ((want,), _) = found(tmp_path / "log", plant(), longest=0.2)
+    ((want,), _) = find_delays(tmp_path / "log", plant(), longest=0.2)
     pd.DataFrame(columns | {"std": std}).to_csv(tmp_path / "log" / "measurements.csv", index=False)
-    ((one,), _) = found(tmp_path / "log", plant(), longest=0.2)
+    ((one,), _) = find_delays(tmp_path / "log", plant(), longest=0.2)
     assert [one.estimate, one.low, one.high] == pytest.approx([want.estimate, want.low, want.high], rel=1e-9)
 
 
@@ -300,7 +300,7 @@ def test_noise_of_each_measurement_is_used(tmp_path):
 def test_without_inputs_a_delay_is_not_known(tmp_path):
     recording(tmp_path / "log", 7, [LATE], inputs=False)
     study = plant(B=[[0.0], [0.0]], prior_std=[3.0, 3.0])
-    ((one,), said) = found(tmp_path / "log", study)
+    ((one,), said) = find_delays(tmp_path / "log", study)
     assert one.high - one.low > 0.3
     assert "the recording does not determine the delay" in said[0]
 
@@ -376,7 +376,7 @@ def test_channels_without_inputs_have_the_least_delays_of_the_right_difference(t
     rows(tmp_path / "log", columns)
     lti = {"A": [[0.0]], "B": [[0.0]], "C": [[1.0], [1.0]], "states": ["level [m]"], "tick": DT, "input": "zero"}
     lti |= {"sampling_period": [0.01, 0.04], "delay": 0.0, "noise_std": 0.1, "process_std": 0.1, "duration": 15.0}
-    (one, two), said = found(tmp_path / "log", {"name": "walk", "lti": lti}, longest=0.2)
+    (one, two), said = find_delays(tmp_path / "log", {"name": "walk", "lti": lti}, longest=0.2)
     assert [one.estimate, two.estimate] == pytest.approx([0.0, 0.06], abs=0.01)
     assert [two.low, two.high] == pytest.approx([0.0, 0.2])
     assert said[-1].startswith("y1 and y2: the recording determines the differences of these delays")

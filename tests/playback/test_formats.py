@@ -17,7 +17,7 @@ OBSERVERS = ["pccebo", "kf"]
 WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "sampling_jitter": 0.02}}
 
 
-def traced(study, folder):
+def simulate_log(study, folder):
     """A run of a study: its frame, the folder of its log, and what arrived."""
     frame = pcbench.simulate(study, OBSERVERS, seed=3, log=folder)
     log = tables.open_tables(folder)
@@ -44,13 +44,13 @@ def same(found, tabled, frame):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    return traced(MOTOR, tmp_path_factory.mktemp("plain"))
+    return simulate_log(MOTOR, tmp_path_factory.mktemp("plain"))
 
 
 @pytest.fixture(scope="module")
 def wild(tmp_path_factory):
     """Late, lost and out of sequence."""
-    return traced(WILD, tmp_path_factory.mktemp("wild"))
+    return simulate_log(WILD, tmp_path_factory.mktemp("wild"))
 
 
 @pytest.mark.parametrize("name", ["plain", pytest.param("wild", marks=pytest.mark.nightly)])
@@ -167,7 +167,7 @@ def test_damage_in_the_middle_is_not_passed_over(plain, write, tmp_path):
 def test_what_is_no_flight_log_is_one_sentence(tmp_path):
     (tmp_path / "run.ulg").write_bytes(b"not a log")
     with pytest.raises(UserError, match="expected a complete ULog"):
-        survey(readers.open_log(recorded.told(tmp_path, "run.ulg", ("angle", "motor"), field="x")))
+        survey(readers.open_log(recorded.write_toml(tmp_path, "run.ulg", ("angle", "motor"), field="x")))
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def recording(folder, samples):
     return rows(folder, measured)
 
 
-def whitened(samples, variances=R):
+def whiten(samples, variances=R):
     """Each innovation over its deviation, in the order of arrival, and the log-density of all: a Cholesky factor of the joint
     covariance in that order."""
     model = Model(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((2, 1)), DT)
@@ -69,7 +69,7 @@ def replayed(tmp_path_factory):
 @pytest.mark.ci
 def test_every_sample_counts_by_channel_in_the_order_of_arrival(replayed):
     _, samples, found = replayed
-    z, total = whitened(samples)
+    z, total = whiten(samples)
     channel = np.array([s.channel for s in samples])
     whole = found.innovations.set_index("observer").loc["kf"]
     assert whole.samples == len(samples)
@@ -109,13 +109,13 @@ def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
 
     found = likelihood.evaluator(p, part, design)(np.log(R))
     assert len(found.tick) == len({(s.arrival, s.taken) for s in samples})
-    assert found.log_likelihood.sum() == pytest.approx(whitened(samples)[1], rel=1e-10)
+    assert found.log_likelihood.sum() == pytest.approx(whiten(samples)[1], rel=1e-10)
 
 
 @pytest.mark.ci
 def test_innovations_in_order_of_arrival_are_white_and_have_variance_one():
     """Of the reference, on 15 runs: what is compared with above has the distribution that NIS and whiteness assume."""
-    z = np.concatenate([whitened(walk(seed))[0] for seed in range(15)])
+    z = np.concatenate([whiten(walk(seed))[0] for seed in range(15)])
     assert np.mean(z**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(z)))
     for lag in (1, 2, 6, 7):
         assert abs(np.mean(z[lag:] * z[:-lag])) < 4 / np.sqrt(len(z))

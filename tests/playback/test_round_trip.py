@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pandas as pd
 import pytest
-from logged import MOTOR, written
+from logged import MOTOR, write_log
 
 import pcbench
 from pcbench.errors import UserError
@@ -38,7 +38,7 @@ def as_csv(folder, into):
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
     (truth,) = log.truth.read()
-    written(into, batch, log.channels, (inputs.t, inputs.values), (log.truth.names, truth.t, truth.values), ".csv")
+    write_log(into, batch, log.channels, (inputs.t, inputs.values), (log.truth.names, truth.t, truth.values), ".csv")
     return into
 
 
@@ -80,7 +80,7 @@ def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
     t, arrived = np.arange(40) * 0.05, np.arange(40) * 0.05 + 0.1
     batch = Batch(np.zeros(40, int), t, arrived, size + t, np.arange(40))
     k = np.arange(200) * 0.01
-    written(tmp_path, batch, ("y1",), None, (("position", "velocity"), k, np.stack([size + k, np.ones(200)], 1)))
+    write_log(tmp_path, batch, ("y1",), None, (("position", "velocity"), k, np.stack([size + k, np.ones(200)], 1)))
     lti = {
         "A": [[0.0, 1.0], [0.0, 0.0]],
         "states": ["position [m]", "velocity [m/s]"],
@@ -99,7 +99,7 @@ def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     log = tables.open_tables(folder)
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
-    written(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
+    write_log(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
     found = pcbench.replay(tmp_path, study, OBSERVERS).estimates
     assert not np.array_equal(found["kf.angle"][: len(frame)], frame["kf.angle"][: len(found)])
 
@@ -133,7 +133,7 @@ def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
     (inputs,), (truth,) = log.inputs.read(), log.truth.read()
     some = slice(5, None, 7)
     known = log.truth.names, truth.t[some], truth.values[some]
-    written(tmp_path, batch, log.channels, (inputs.t, inputs.values), known)
+    write_log(tmp_path, batch, log.channels, (inputs.t, inputs.values), known)
     found = pcbench.replay(tmp_path, study, OBSERVERS).metrics.set_index(["observer", "signal", "metric"]).value
     e = (frame["angle"] - frame["kf.angle"]).to_numpy()[: len(frame) - 1][some]
     assert found["kf", "angle", "mae"] == pytest.approx(np.abs(e).mean(), rel=1e-10)

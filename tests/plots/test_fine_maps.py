@@ -44,7 +44,7 @@ def test_every_cell_has_its_colour_at_its_place(figure):
 
 def test_lines_stand_where_the_value_is_and_none_where_it_does_not_vary(figure):
     first, second, third = figure.axes
-    lines = [line for each in first.collections for line in each.get_paths()]
+    lines = [line for collection in first.collections for line in collection.get_paths()]
     assert lines
     assert second.collections
     assert not third.collections

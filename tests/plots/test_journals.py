@@ -72,7 +72,7 @@ def test_figures_have_the_widths_and_fonts_of_a_journal(result, journal):
     for picture in pictures(result, paper):
         pdf = render_figure(picture.figure, "pdf")
         (width,) = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+)", pdf)
-        assert min(abs(float(width) - each) for each in columns) < 0.01, picture.name
+        assert min(abs(float(width) - column) for column in columns) < 0.01, picture.name
         widths.add(round(float(width)))
         assert b"STIXGeneral" in pdf
         assert b"/FontFile2" in pdf, "letters, not outlines"
@@ -84,7 +84,7 @@ def test_figures_have_the_widths_and_fonts_of_a_journal(result, journal):
         assert {8.0, 7.0} <= sizes | {7.0}
         assert 6.0 <= min(sizes) <= max(sizes) == 8.0, picture.name
         assert complaints(picture.figure) == [], picture.name
-    assert widths == {round(each) for each in columns}
+    assert widths == {round(column) for column in columns}
 
 
 @pytest.mark.ci

@@ -29,7 +29,7 @@ def result():
     return pcbench.run(STUDY)
 
 
-def said(figure):
+def outer_texts(figure):
     """Every text but those in the axes: titles of the picture and of its axes, keys, numbers at ticks."""
     every = [text for text in figure.findobj(Text) if text not in {t for ax in figure.axes for t in ax.texts}]
     return [text.get_text().replace("\n", " ").replace("\u00a0", " ") for text in every if text.get_text()]
@@ -50,7 +50,7 @@ def test_a_distribution_is_the_runs_in_order(result):
         np.testing.assert_allclose(mine.share, np.arange(1, 25) / 24)
     figure = plots.distributions(result, metric="steady_rmse", cell=1)
     (ax,) = figure.axes
-    assert "rms error of position after the transient [m]" in said(figure)
+    assert "rms error of position after the transient [m]" in outer_texts(figure)
     drawn = {line.get_label(): line.get_xdata() for line in ax.get_lines()}
     np.testing.assert_array_equal(drawn["kfbo"][1:], part[part.observer == "kfbo"].value)
 
@@ -59,7 +59,7 @@ def test_a_distribution_is_the_runs_in_order(result):
 def test_a_curve_has_the_means_and_their_intervals(result):
     figure = plots.curves(result, "noise_std", metric="mae", at={"delay": 0.4})
     (ax,) = figure.axes
-    assert {"noise std [m]", "mean |error| of position [m]"} <= set(said(figure))
+    assert {"noise std [m]", "mean |error| of position [m]"} <= set(outer_texts(figure))
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "2"], (
         "a tick at each value of the axis, and no other"
     )
@@ -167,14 +167,14 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
     assert texts == ["100"] * 4
     drawn = frames.rows(result, None, None, "divergence_rate")
     assert captions.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
-    assert any("diverged runs [%]" in text for text in said(figure))
+    assert any("diverged runs [%]" in text for text in outer_texts(figure))
 
 
 def test_maps_stand_on_one_scale_with_numbers_and_both_axes_named(result):
     figure = plots.heatmaps(result, metric="mae")
     small = figure.axes
     assert len(small) == 3
-    assert {"delay [s]", "pccebo ↑ noise std [m]", "kfbo"} <= set(said(figure))
+    assert {"delay [s]", "pccebo ↑ noise std [m]", "kfbo"} <= set(outer_texts(figure))
     for ax in small:
         assert [t.get_text() for t in ax.get_yticklabels()] == ["0.1", "2"]
     rows = result.stats.query("metric == 'mae' and signal == 'position'")
@@ -205,8 +205,8 @@ def test_a_map_of_winners_says_who_and_by_how_much_and_is_pale_where_that_is_not
 def test_one_run_in_time_is_the_trace(result):
     figure = plots.time(result, cell=2, seed=3)
     above, below = figure.axes
-    assert {"position [m]", "t [s]", "pccebo", "plant", "measured, held"} <= set(said(figure))
-    assert "cart/white, delay 0.4 s, noise std 0.1 m, seed 3" in said(figure)
+    assert {"position [m]", "t [s]", "pccebo", "plant", "measured, held"} <= set(outer_texts(figure))
+    assert "cart/white, delay 0.4 s, noise std 0.1 m, seed 3" in outer_texts(figure)
     lines = {line.get_label(): line for line in above.get_lines()}
     assert set(lines) == {"plant", "pccebo", "kfbo", "pccebo-twin", "measured, held"}
     at = ["axes.delay=0.4", "axes.noise_std=0.1"]

@@ -20,7 +20,7 @@ PCBENCH = [sys.executable, "-m", "pcbench"]
 UNIX = 1.7e9  # [s] of the time of day, 53.9 years after 0
 
 
-def changed(column, row, value):
+def change(column, row, value):
     out = plain()
     out[column] = np.array(out[column], float)
     out[column][row - 1] = value
@@ -54,7 +54,7 @@ LOGS = {
         "clock; remove that row or convert its time.",
     ),
     "one late arrival": (
-        changed("arrived", 7, UNIX),
+        change("arrived", 7, UNIX),
         None,
         "row 7 has 1700000000 s among the arrivals of channel y1, 53.9 years after",
     ),

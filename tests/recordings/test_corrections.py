@@ -34,14 +34,14 @@ def flight(tmp_path):
     return tmp_path
 
 
-def written(folder, **toml):
+def write_toml(folder, **toml):
     (folder / "log.toml").write_text(tomli_w.dumps({"log": "flight"} | toml))
     return folder / "log.toml"
 
 
 def test_tables_are_corrected_by_channel(flight):
     channels = {"y1": {"clock_offset": -0.02, "scale": 2.0, "offset": 3.0}, "y2": {"only_changes": True}}
-    toml = written(flight, channels=channels, inputs={"u1": {"scale": -1.0}}, truth={"angle": {"offset": 10.0}})
+    toml = write_toml(flight, channels=channels, inputs={"u1": {"scale": -1.0}}, truth={"angle": {"offset": 10.0}})
     log, bare = readers.open_log(toml), readers.open_log(flight / "flight")
     before, after = read(bare), read(log)
     one, mine = before.channel == 0, after.channel == 0
@@ -64,17 +64,17 @@ def test_changes_are_seen_across_parts():
 def test_standard_deviations_are_scaled(flight):
     path = flight / "flight" / "measurements.csv"
     pd.read_csv(path).assign(std=0.1).to_csv(path, index=False)
-    assert set(read(readers.open_log(written(flight, channels={"y1": {"scale": -3.0}}))).std.round(9)) == {0.1, 0.3}
+    assert set(read(readers.open_log(write_toml(flight, channels={"y1": {"scale": -3.0}}))).std.round(9)) == {0.1, 0.3}
 
 
 def test_delays_of_tables_without_arrivals_count_from_the_corrected_stamp(flight):
     path = flight / "flight" / "measurements.csv"
     pd.read_csv(path).drop(columns="arrived").to_csv(path, index=False)
-    toml = written(flight, channels={"y1": {"clock_offset": -1.0, "delay": 0.25}, "y2": {"delay": 0.0}})
+    toml = write_toml(flight, channels={"y1": {"clock_offset": -1.0, "delay": 0.25}, "y2": {"delay": 0.0}})
     got = read(readers.open_log(toml))
     np.testing.assert_allclose((got.arrived - got.sampled)[got.channel == 0], 0.25)
     np.testing.assert_allclose((got.arrived - got.sampled)[got.channel == 1], 0.0)
-    toml = written(flight, channels={"y1": {"delay": 0.25}})
+    toml = write_toml(flight, channels={"y1": {"delay": 0.25}})
     np.testing.assert_allclose(
         (lambda b: (b.arrived - b.sampled)[b.channel == 1])(read(readers.open_log(toml, 0.1))), 0.1
     )
@@ -94,10 +94,10 @@ def test_delays_of_tables_without_arrivals_count_from_the_corrected_stamp(flight
 )
 def test_what_tables_do_not_have_is_one_sentence(flight, toml, sentence):
     with pytest.raises(UserError, match=sentence):
-        readers.open_log(written(flight, **toml))
+        readers.open_log(write_toml(flight, **toml))
 
 
-def mapped(folder, **more):
+def write_wide_log(folder, **more):
     """A wide file whose fields a TOML maps."""
     t = np.arange(6) * 0.1
     pd.DataFrame({"t": t, "level": [4.5, 4.5, 4.6, np.nan, 4.6, 4.7], "u": 1.0}).to_csv(
@@ -111,7 +111,9 @@ def mapped(folder, **more):
 
 
 def test_fields_are_corrected_too(tmp_path):
-    log = readers.open_log(mapped(tmp_path, scale=10.0, offset=-40.0, clock_offset=0.5, only_changes=True, delay=0.2))
+    log = readers.open_log(
+        write_wide_log(tmp_path, scale=10.0, offset=-40.0, clock_offset=0.5, only_changes=True, delay=0.2)
+    )
     got = read(log)
     np.testing.assert_allclose(got.value, [5.0, 6.0, 7.0])
     np.testing.assert_allclose(got.sampled, [0.5, 0.7, 1.0])
@@ -121,7 +123,7 @@ def test_fields_are_corrected_too(tmp_path):
 
 
 def test_clock_offset_of_an_input_is_refused(tmp_path):
-    toml = mapped(tmp_path)
+    toml = write_wide_log(tmp_path)
     toml.write_text(toml.read_text() + "clock_offset = 0.1\n")
     with pytest.raises(UserError, match=r"inputs.u1: got clock_offset, expected it of channels alone"):
         readers.open_log(toml)
@@ -130,7 +132,7 @@ def test_clock_offset_of_an_input_is_refused(tmp_path):
 @pytest.mark.parametrize("delay", [None, 0.1])
 def test_offsets_are_written_so_that_arrivals_stay(tmp_path, delay):
     (tmp_path / "out").mkdir()
-    source = mapped(tmp_path, delay=0.05, clock_offset=1.0)
+    source = write_wide_log(tmp_path, delay=0.05, clock_offset=1.0)
     text = toml_with_offsets(source, {"y1": -0.3}, delay, tmp_path / "out")
     (tmp_path / "out" / "recording.toml").write_text(text)
     assert tomllib.loads(text)["log"] == "../wide.csv"
@@ -168,7 +170,7 @@ def test_absolute_values_are_warned_of_and_an_offset_corrects_them(tmp_path):
     moved = pd.read_parquet(path)
     moved["value"] += 20.0
     moved.to_parquet(path)
-    toml = written(tmp_path, channels={"y1": {"offset": -20.0}})
+    toml = write_toml(tmp_path, channels={"y1": {"offset": -20.0}})
     wrong, right = (pcbench.replay(log, MOTOR, "kf").summary["notes"] for log in (tmp_path / "flight", toml))
     assert any("above the predictions of kf on average: if its values are absolute" in sentence for sentence in wrong)
     assert not any("absolute" in sentence for sentence in right)

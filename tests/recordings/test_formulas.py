@@ -13,7 +13,7 @@ RNG = np.random.default_rng(3)
 T = np.arange(200) * 0.05
 
 
-def computed(formula, parts=1, **fields):
+def compute(formula, parts=1, **fields):
     """A formula of fields that come in some parts."""
     evaluate = quantity(None, formula, 1.0, 0.0, "log").evaluator()
     split = {name: np.array_split(np.asarray(values, float), parts) for name, values in fields.items()}
@@ -22,7 +22,7 @@ def computed(formula, parts=1, **fields):
 
 def test_formula_is_the_same_as_in_numpy():
     a, b = RNG.normal(size=(2, 50))
-    found = computed("-2*a^2 + sin(pi*b)/(1 + exp(a)) - atan2(a, b - 0.5) + sqrt(abs(a))", a=a, b=b)
+    found = compute("-2*a^2 + sin(pi*b)/(1 + exp(a)) - atan2(a, b - 0.5) + sqrt(abs(a))", a=a, b=b)
     want = -2 * a**2 + np.sin(np.pi * b) / (1 + np.exp(a)) - np.arctan2(a, b - 0.5) + np.sqrt(np.abs(a))
     np.testing.assert_allclose(found, want, rtol=1e-14)
 
@@ -31,9 +31,9 @@ def test_yaw_is_that_of_the_rotation():
     rotation = Rotation.random(100, rng=RNG)
     x, y, z, w = rotation.as_quat().T
     want = rotation.as_euler("ZYX")[:, 0]
-    np.testing.assert_allclose(computed("yaw(w, x, y, z)", w=w, x=x, y=y, z=z), want, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(compute("yaw(w, x, y, z)", w=w, x=x, y=y, z=z), want, rtol=0, atol=1e-12)
     pose = {f"pose.q.{name}": each for name, each in zip("xyzw", (x, y, z, w), strict=True)}
-    np.testing.assert_allclose(computed("yaw(pose.q)", **pose), want, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(compute("yaw(pose.q)", **pose), want, rtol=0, atol=1e-12)
 
 
 def earth(lat, lon):
@@ -52,8 +52,8 @@ def test_north_and_east_are_metres_on_the_ground(lat0, lon0):
     east = away @ [-np.sin(lam), np.cos(lam), 0.0]
     north = away @ [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)]
     wrapped = (lon + 180) % 360 - 180  # a receiver gives -180 to 180 degrees
-    np.testing.assert_allclose(computed(f"north(lat, {lat0})", lat=lat), north, atol=5e-3)
-    np.testing.assert_allclose(computed(f"east(lon, {lat0}, {lon0})", lon=wrapped), east, atol=5e-3)
+    np.testing.assert_allclose(compute(f"north(lat, {lat0})", lat=lat), north, atol=5e-3)
+    np.testing.assert_allclose(compute(f"east(lon, {lat0}, {lon0})", lon=wrapped), east, atol=5e-3)
 
 
 @pytest.mark.parametrize("parts", [1, 3, 200])
@@ -62,12 +62,12 @@ def test_unwrap_and_diff_go_on_from_part_to_part(parts):
     wrapped = np.angle(np.exp(1j * angle))
     gaps = wrapped.copy()
     gaps[7::11] = np.nan
-    np.testing.assert_allclose(computed("unwrap(x)", parts, x=wrapped), angle, atol=1e-12)
-    np.testing.assert_allclose(computed("unwrap(x, 360)", parts, x=np.degrees(wrapped)), np.degrees(angle), atol=1e-10)
-    found = computed("unwrap(x)", parts, x=gaps)
+    np.testing.assert_allclose(compute("unwrap(x)", parts, x=wrapped), angle, atol=1e-12)
+    np.testing.assert_allclose(compute("unwrap(x, 360)", parts, x=np.degrees(wrapped)), np.degrees(angle), atol=1e-10)
+    found = compute("unwrap(x)", parts, x=gaps)
     np.testing.assert_allclose(found[~np.isnan(gaps)], angle[~np.isnan(gaps)], atol=1e-12)
     assert np.isnan(found[7::11]).all()
-    steps = computed("diff(x) - diff(2*x)/2 + diff(x)", parts, x=angle)
+    steps = compute("diff(x) - diff(2*x)/2 + diff(x)", parts, x=angle)
     assert np.isnan(steps[0])
     np.testing.assert_allclose(steps[1:], np.diff(angle), atol=1e-12)
 

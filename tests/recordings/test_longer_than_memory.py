@@ -34,7 +34,7 @@ print(json.dumps([pcbench.replay(sys.argv[1], plant, "kf", out=sys.argv[3]).summ
 """
 
 
-def looked_at(path, size):
+def survey_row(path, size):
     """What is in a log, by a process that cannot hold `size` bytes."""
     return by_a_small_process(LOOK, path, size, LIMIT)
 
@@ -70,7 +70,7 @@ def test_a_table_longer_than_memory_is_read(kind, tmp_path):
     else:
         group = many if "one group" in kind else 10**6
         pq.write_table(table(many), path, row_group_size=group, compression="none", use_dictionary=["channel"])
-    row = looked_at(path, path.stat().st_size)
+    row = survey_row(path, path.stat().st_size)
     assert (row["samples"], row["out_of_order"], row["doubled"]) == (many, 0, 0)
     assert row["delay_mean"] == pytest.approx(0.0625, abs=1e-9)
 
@@ -100,6 +100,6 @@ def test_a_recording_longer_than_memory_is_read(write, tmp_path):
     run = recorded.Run(t, t + 0.0625, np.sin(t), t, np.cos(t))
     path = write(tmp_path, run, frame_id="x" * 50_000)
     size = sum(p.stat().st_size for p in tmp_path.rglob("*") if p.is_file())
-    row = looked_at(path, size)
+    row = survey_row(path, size)
     assert (row["samples"], row["out_of_order"]) == (4000, 0)
     assert row["delay_mean"] == pytest.approx(0.0625, abs=1e-9)

@@ -20,7 +20,7 @@ CHANNEL = '[channels.y{0}]\nfield = "y{0}"\nunit = "m"\n{{more}}\n'
 MAPPED = 'log = "{name}"\n{keys}\n' + CHANNEL.format(1) + CHANNEL.format(2)
 
 
-def mapped(folder, name, keys="", more="delay = 0.0"):
+def open_wide_log(folder, name, keys="", more="delay = 0.0"):
     (folder / "log.toml").write_text(MAPPED.format(name=name, keys=keys, more=more))
     return readers.open_log(folder / "log.toml")
 
@@ -42,7 +42,7 @@ def test_row_without_a_value_is_no_measurement(tmp_path, kind):
     else:
         kind, more = "mcap", 'topic = "/all"\nsampled = "received"'
         mcap(tmp_path, {"/all": (T, table.replace({np.nan: None}).to_dict("records"))})
-    found = survey(mapped(tmp_path, f"run.{kind}", keys, more)).channels
+    found = survey(open_wide_log(tmp_path, f"run.{kind}", keys, more)).channels
     assert [c.stamps.many for c in found.values()] == [40, 10]
     assert found["y2"].intervals.median == pytest.approx(0.2, abs=1e-9)
 

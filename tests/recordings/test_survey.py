@@ -11,7 +11,7 @@ from pcbench.recordings import running_stats
 from pcbench.recordings.survey import channel_rows, survey
 
 
-def drawn(seed, many=60, doubled=3):
+def draw_samples(seed, many=60, doubled=3):
     """Samples of one channel, late and out of sequence, some of them twice; in the order in which they arrive."""
     rng = np.random.default_rng(seed)
     taken = np.cumsum(rng.integers(1, 6, many))
@@ -23,7 +23,7 @@ def drawn(seed, many=60, doubled=3):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_rates_delays_and_orders_are_those_of_loops(seed):
-    samples = drawn(seed)
+    samples = draw_samples(seed)
     (row,) = channel_rows(survey(log_of(samples, 0.1, channels=1, part=1000)))
     late = np.array([(a - t) * 0.1 for _, t, a in samples])
     behind, doubled = delays([(t, a) for _, t, a in samples])
@@ -44,7 +44,7 @@ def test_rates_delays_and_orders_are_those_of_loops(seed):
 
 
 def test_parts_change_nothing_that_is_counted():
-    samples = drawn(7, 200)
+    samples = draw_samples(7, 200)
     whole, parts = (channel_rows(survey(log_of(samples, part=part)))[0] for part in (1000, 41))
     same = ["samples", "lost", "delay_mean", "delay_median", "out_of_order", "drift_ppm", "first", "last"]
     np.testing.assert_allclose([whole[k] for k in same], [parts[k] for k in same], rtol=1e-9)

@@ -14,7 +14,7 @@ TICKS, CHANNELS = 120, 2
 CLOCK = Clock(0.0, 1.0)
 
 
-def drawn(seed):
+def draw_samples(seed):
     """Two channels at 3 and 5 ticks, 0 to 30 late, every sixth lost; as samples of a log and of a schedule."""
     rng = np.random.default_rng(seed)
     out, scheduled = [], []
@@ -41,7 +41,7 @@ def laid(log, found, length, slots):
 @pytest.mark.parametrize("length", [4, 16, 200])
 @pytest.mark.parametrize("order", ["arrival", "taking", "any"])
 def test_windows_are_the_schedule_of_the_same_samples(seed, length, order):
-    samples, scheduled = drawn(seed)
+    samples, scheduled = draw_samples(seed)
     rng = np.random.default_rng(99)
     places = {
         "arrival": sorted(range(len(samples)), key=lambda i: (samples[i][2] or 10**6, i)),
@@ -69,7 +69,7 @@ def test_windows_are_the_schedule_of_the_same_samples(seed, length, order):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("length", [4, 16, 200])
 def test_the_room_of_a_log_is_that_of_the_schedule(seed, length):
-    samples, scheduled = drawn(seed)
+    samples, scheduled = draw_samples(seed)
     log, room = log_of(samples), Room()
     for block in blocks(log, survey(log), CLOCK, length, TICKS):
         room = with_block(room, block, 31)

@@ -106,7 +106,7 @@ CASES = {
 
 
 def leaders_of(means, cell):
-    least = min(each[cell] for each in means.values())
+    least = min(mean[cell] for mean in means.values())
     return {name for name, each in means.items() if each[cell] - least < 0.1}
 
 

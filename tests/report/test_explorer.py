@@ -424,7 +424,7 @@ def test_two_figures_stand_side_by_side_on_paper(browser, report):
     tops = json.loads(ask(browser, script))
     browser.call("Emulation.setEmulatedMedia", media="")
     browser.call("Emulation.clearDeviceMetricsOverride")
-    assert any(len(set(each)) < len(each) for each in tops)
+    assert any(len(set(top)) < len(top) for top in tops)
 
 
 @needs_browser

@@ -1,7 +1,7 @@
 """The page in a browser: nothing complains, is cut off or overlaps, on a phone, a desk and on paper; every picture is drawn."""
 
 import pytest
-from browser import CHROMIUM, looked_at, print_page
+from browser import CHROMIUM, inspect_page, print_page
 from walked import STUDIES as SHORT
 
 import pcbench
@@ -65,7 +65,7 @@ def drawn(tmp_path_factory):
 
 
 def quiet(folder, width, paper):
-    measured = looked_at(folder / "report.html", folder, width, paper)
+    measured = inspect_page(folder / "report.html", folder, width, paper)
     assert width - 20 <= measured["wide"] <= width, "a scroll bar may stand beside it"
     figures = (folder / "report.html").read_text().count("<figure")
     assert measured["pictures"] == figures - paper > 0, "the interactive figure is not printed"
@@ -101,7 +101,7 @@ def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
     text = f'{head}<text x="9999" y="5">far</text><text x="1" y="9">a</text><text x="2" y="9">b</text>{text_}{rest}'
     text = text.replace("<h2>Repeat this study</h2>", BROKEN + "<svg width='9' height='9'></svg>")
     (tmp_path / "report.html").write_text(text.replace("function hints", "console.log('noise'); function hints"))
-    measured = looked_at(tmp_path / "report.html", tmp_path, 1400)
+    measured = inspect_page(tmp_path / "report.html", tmp_path, 1400)
     for said in (
         "wider than its window",
         "leaves its picture: far",

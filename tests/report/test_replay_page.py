@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from browser import CHROMIUM, looked_at
+from browser import CHROMIUM, inspect_page
 from commands import call
 from logged import MOTOR
 from reference import logs as reference
@@ -205,7 +205,7 @@ def test_names_of_channels_are_escaped(folders, full):
 @pytest.mark.parametrize("name", ["full", "bare"])
 def test_page_is_drawn_without_complaints(folders, tmp_path, name, width, paper):
     page.write_page(replay_page.page(replay_frames.open_replay(folders / name)), tmp_path / "report.html")
-    seen = looked_at(tmp_path / "report.html", tmp_path, width, paper)
+    seen = inspect_page(tmp_path / "report.html", tmp_path, width, paper)
     assert seen["pictures"] == (7 if name == "full" else 2)
     assert not seen["complaints"]
     assert not seen["console"]

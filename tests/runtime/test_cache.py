@@ -35,7 +35,7 @@ def test_it_is_made_for_its_owner_alone(place, parts):
         cache.keep(found / "deep" / "text", "a")
     finally:
         os.umask(before)
-    every = [place, *(each for each in place.rglob("*") if each.is_dir())]
+    every = [place, *(path for path in place.rglob("*") if path.is_dir())]
     assert found in every
     assert {stat.S_IMODE(each.stat().st_mode) for each in every} == {0o700}
 

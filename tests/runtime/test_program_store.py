@@ -58,7 +58,7 @@ def store(monkeypatch, tmp_path):
     return tmp_path / "traces"
 
 
-def compiled(about="about"):
+def compile_add(about="about"):
     """Compile `add`; return what it gives, and whether it was traced for that."""
     traced = []
 
@@ -72,8 +72,8 @@ def compiled(about="about"):
 
 
 def test_a_stored_program_is_not_traced_and_gives_the_same_tree(store):
-    first, traced = compiled()
-    again, traced_again = compiled()
+    first, traced = compile_add()
+    again, traced_again = compile_add()
     assert (traced, traced_again) == (True, False)
     assert isinstance(again, ErrorSums)
     for a, b, expected in zip(first, again, add(*ARRAYS), strict=True):
@@ -83,23 +83,23 @@ def test_a_stored_program_is_not_traced_and_gives_the_same_tree(store):
 
 @pytest.mark.parametrize("spoil", [lambda b: b[:-7], lambda b: b[:99] + b"x" + b[100:], lambda b: b""])
 def test_a_damaged_program_is_traced_again(store, spoil):
-    compiled()
+    compile_add()
     (path,) = store.iterdir()
     path.write_bytes(spoil(path.read_bytes()))
-    assert compiled()[1]
-    assert not compiled()[1]
+    assert compile_add()[1]
+    assert not compile_add()[1]
 
 
 def test_programs_used_longest_ago_are_removed(store, monkeypatch):
     monkeypatch.setattr(program_store, "ROOM", 2)
     for about in ("a", "b"):
-        compiled(about)
+        compile_add(about)
     for age, path in enumerate(sorted(store.iterdir(), key=lambda p: p.stat().st_mtime, reverse=True)):
         os.utime(path, (1e9 - age, 1e9 - age))
-    assert not compiled("a")[1]  # now used last
-    compiled("c")
-    assert not compiled("a")[1]
-    assert compiled("b")[1]
+    assert not compile_add("a")[1]  # now used last
+    compile_add("c")
+    assert not compile_add("a")[1]
+    assert compile_add("b")[1]
 
 
 def closure(number):

@@ -25,7 +25,7 @@ def ring(rows, newest):
     return jnp.asarray(out)
 
 
-def expected(delay, n, newest):
+def interpolate(delay, n, newest):
     """Linear interpolation at the middle of the tick less the delay, by np.interp over all ticks."""
     ticks = np.arange(-4000, newest + 1)
     when = (n + 0.5) - delay((n + 0.5) * DT) / DT
@@ -47,7 +47,7 @@ def test_the_input_is_the_command_of_the_middle_of_the_tick(mean, part, pace, k,
     rows = command_network.rows_needed(delay, DT, N, 100)
     line = command_network.delay_line(delay, DT, rows, N)
     found = read(line, ring(rows, k), jnp.asarray(k - age), jnp.asarray(k))
-    np.testing.assert_allclose(found, expected(delay, k - age, k), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found, interpolate(delay, k - age, k), rtol=0, atol=1e-10)
 
 
 def test_without_delay_it_is_the_command_of_the_tick():
@@ -82,7 +82,7 @@ def test_a_ring_never_gives_another_ticks_command(k):
     assert not kept[rows:].any()
     assert (np.diff(kept.astype(int)) <= 0).all()
     for age in ages[kept]:
-        np.testing.assert_allclose(found[age], expected(delay, k - age, k), rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found[age], interpolate(delay, k - age, k), rtol=0, atol=1e-10)
 
 
 def test_commands_are_written_where_they_are_read():

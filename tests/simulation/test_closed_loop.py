@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import runs_as_rows
 from commands import call
-from helicopters import estimate, planned, record
+from helicopters import estimate, plan_run, record
 from scipy.stats import binomtest
 
 import pcbench
@@ -32,7 +32,7 @@ def swept(p, seeds=1):
 @pytest.fixture(scope="module")
 def blown():
     """The printed observer with a set point at rest: it blows up from the nominal start."""
-    return planned("high-gain", SECOND, choices={"path": "still"})
+    return plan_run("high-gain", SECOND, choices={"path": "still"})
 
 
 @pytest.mark.nightly
@@ -54,7 +54,7 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
 
 @pytest.mark.nightly
 def test_sums_are_those_of_the_recorded_run():
-    p = planned("high-gain", SECOND)
+    p = plan_run("high-gain", SECOND)
     got, found, tail = record(p), swept(p), p.cell.times.tail
     e, off = got.x - estimate(got), got.target - got.x[:, :2]
     for metric, want in (
@@ -76,7 +76,7 @@ def test_sums_are_those_of_the_recorded_run():
 @pytest.mark.nightly
 def test_random_starts_are_those_of_the_box():
     """z(0) = x(0) + U(-0.5, 0.5), viscosities 0, x(0) as it is: one draw a run, whoever observes."""
-    p = planned("high-gain-robust", SECOND, choices=BOX)
+    p = plan_run("high-gain-robust", SECOND, choices=BOX)
     runs = [record(p, seed) for seed in range(3)]
     x0 = np.array(SCENARIOS["helicopter/constant"].truth.x0)
     for seed, got in enumerate(runs):
@@ -94,7 +94,7 @@ def test_random_starts_are_those_of_the_box():
 @pytest.mark.nightly
 @pytest.mark.parametrize("observer", ["high-gain-robust", "ekf"])
 def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(observer):
-    p = planned(observer, SECOND, choices=BOX, noise_std=5e-3)
+    p = plan_run(observer, SECOND, choices=BOX, noise_std=5e-3)
     p = p._replace(layout=p.layout._replace(random_initial_state=False))
 
     def results(seeds, devices):
@@ -181,14 +181,14 @@ def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
 def test_a_ring_has_room_for_what_is_believed_to_be_older():
     """The filter goes back to where it believes the sample before to have been taken."""
     for error in (0.0, 0.05):
-        cell = planned("ekf", SECOND, assumed_delay_error=error).cell
+        cell = plan_run("ekf", SECOND, assumed_delay_error=error).cell
         reach = loop_setup.reach(cell, 0, 1000)
         assert reach.back >= 200 + 25 + round(error * 1e3) + 26
 
 
 @pytest.mark.nightly
 def test_a_filter_that_believes_samples_to_be_older_has_its_inputs():
-    got = record(planned("ekf", SECOND, assumed_delay_error=0.05))
+    got = record(plan_run("ekf", SECOND, assumed_delay_error=0.05))
     assert np.isfinite(estimate(got)).all()
 
 

@@ -20,7 +20,7 @@ STD, SCATTER = np.array([0.3, 0.05, 0.7]), np.array([0.5, 1.0, 2.0])
 ROOT = np.array([[0.7, 0.2, -0.1], [0.4, 0.5, 0.0], [-0.3, 0.6, 0.9]])  # of the start's covariance: no symmetry
 
 
-def drawn(draw, stream, channel, index, *shape):
+def draw_numbers(draw, stream, channel, index, *shape):
     key = jax.random.fold_in(jax.random.key(0), SEED)
     for part in (stream, channel, index):
         key = jax.random.fold_in(key, part)
@@ -42,14 +42,14 @@ def run():
 @pytest.mark.ci
 def test_the_start_is_its_mean_and_a_root_of_its_covariance_times_the_draws(run):
     got, p = run
-    v = [drawn(jax.random.normal, INITIAL, j, 0) for j in range(3)]
+    v = [draw_numbers(jax.random.normal, INITIAL, j, 0) for j in range(3)]
     np.testing.assert_allclose(got.x[0], p.x0 + ROOT @ v, rtol=1e-14)
 
 
 @pytest.mark.ci
 def test_what_is_believed_of_the_start_lies_in_a_box_about_it(run):
     got, p = run
-    u = drawn(jax.random.uniform, INITIAL, 0, 0, 3)
+    u = draw_numbers(jax.random.uniform, INITIAL, 0, 0, 3)
     np.testing.assert_allclose(got.estimates["model-only"][0], p.xhat0 + SCATTER * (2 * u - 1), rtol=1e-14)
 
 
@@ -58,7 +58,7 @@ def test_every_tick_adds_its_own_process_noise(run):
     got, p = run
     joint = expm(np.block([[ODD.A, ODD.B], [np.zeros((2, 5))]]) * CASE.h)
     for k in range(CASE.ticks):
-        w = np.array([drawn(jax.random.normal, PROCESS, j, k) for j in range(3)])
+        w = np.array([draw_numbers(jax.random.normal, PROCESS, j, k) for j in range(3)])
         want = joint[:3, :3] @ got.x[k] + joint[:3, 3:] @ p.inputs[k] + STD * w
         np.testing.assert_allclose(got.x[k + 1], want, rtol=1e-12, atol=1e-12)
 
@@ -66,6 +66,6 @@ def test_every_tick_adds_its_own_process_noise(run):
 def test_samples_from_before_tick_0_have_measured_the_start_with_noise_of_their_own(run):
     got, _ = run
     for number, arrives in enumerate(range(0, CASE.ticks + 1, EVERY)):
-        v = np.array([drawn(jax.random.normal, MEASUREMENT, j, number) for j in range(2)])
+        v = np.array([draw_numbers(jax.random.normal, MEASUREMENT, j, number) for j in range(2)])
         want = ODD.C @ got.x[max(arrives - LATE, 0)] + CASE.noise_std * v
         np.testing.assert_allclose(got.newest[arrives], want, rtol=1e-12, atol=1e-13)

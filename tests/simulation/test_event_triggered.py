@@ -46,7 +46,7 @@ WIENER = {
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
 
-def recorded(case, d, one):
+def record(case, d, one):
     """One run of kf and kf-event, samples by the reference, and the variances that both assume."""
     known = context_of(case)._replace(send_threshold=() if one else tuple(d.tolist()))
     designs = {o: OBSERVERS[o].design(known, OBSERVERS[o].options()) for o in ("kf", "kf-event")}
@@ -61,7 +61,7 @@ def recorded(case, d, one):
 @pytest.mark.parametrize("name", TRIGGERS)
 def test_what_is_sent_and_both_filters_equal_the_reference(name):
     d, one = TRIGGERS[name]
-    found, _, p, model, x, samples, known = recorded(ODD_CASE, d, one)
+    found, _, p, model, x, samples, known = record(ODD_CASE, d, one)
     messages = event_triggered.sent(samples, d, bool(one))
     arrived = {
         (s.taken, s.channel): s.value
@@ -86,7 +86,7 @@ def test_what_is_sent_and_both_filters_equal_the_reference(name):
 def test_the_share_of_samples_that_are_sent_equals_the_reference(name):
     d, one = TRIGGERS[name]
     case = ODD_CASE._replace(d=0)
-    _, layout, p, _, _, samples, _ = recorded(case, d, one)
+    _, layout, p, _, _, samples, _ = record(case, d, one)
     out = jax.jit(simulate_runs.simulate_run, static_argnums=0)(layout, p, jnp.asarray(0), jnp.asarray(case.seed))
     messages, taken = event_triggered.sent(samples, d, bool(one)), [s for s in samples if s.taken < case.ticks]
     share = len([s for s in taken if (s.taken, s.channel) in messages]) / len(taken)
@@ -94,7 +94,7 @@ def test_the_share_of_samples_that_are_sent_equals_the_reference(name):
 
 
 def test_a_threshold_of_zero_sends_all_and_changes_no_bit():
-    found, *_ = recorded(CART_CASE, np.zeros(1), 0.0)
+    found, *_ = record(CART_CASE, np.zeros(1), 0.0)
     layout, p = problem(CART_CASE, {"kf": {}})
     usual = recorder()(layout, p, np.asarray(0), np.asarray(CART_CASE.seed))
     for label in ("kf", "kf-event"):

@@ -54,7 +54,7 @@ def samples_of(clocks, ticks, channels, seed):
 PRIME, BASE = 1_000_003.0, 8191.0  # every product is a multiple of 1/4 below 2^53: exact
 
 
-def digested(digest, numbers):
+def fold_digest(digest, numbers):
     """Equal for equal numbers in an equal order."""
     for number in numbers:
         digest = (digest * BASE + number + 1) % PRIME
@@ -78,14 +78,14 @@ def account(gains, memory, now, arrival):
         "ages": memory["ages"] + came * arrival.age,
         "indices": memory["indices"] + came * arrival.index,
         "values": memory["values"] + came * (arrival.index + 1) * arrival.value,
-        "digest": jnp.where(arrival.mask, digested(memory["digest"], said), memory["digest"]),
-        "order": digested(memory["order"], [came @ jnp.array([1.0, 2.0, 4.0])]),
+        "digest": jnp.where(arrival.mask, fold_digest(memory["digest"], said), memory["digest"]),
+        "order": fold_digest(memory["order"], [came @ jnp.array([1.0, 2.0, 4.0])]),
     }
 
 
-def told(gains, memory, now, mask):
+def digest_samples(gains, memory, now, mask):
     """Digest which channels are sampled at which tick."""
-    return memory | {"told": digested(memory["told"], [now.tick * 1.0, (mask * 1.0) @ jnp.array([1.0, 2.0, 4.0])])}
+    return memory | {"told": fold_digest(memory["told"], [now.tick * 1.0, (mask * 1.0) @ jnp.array([1.0, 2.0, 4.0])])}
 
 
 ACCOUNTS = ("count", "ages", "indices", "digest", "values")
@@ -96,7 +96,7 @@ SPY = Observer(
     snapshot=lambda gains, memory, now: memory["tick"][None] + 0.25,
     jump=account,
     flow=lambda gains, memory, now: memory | {"tick": memory["tick"] + 1.0},
-    on_sample=told,
+    on_sample=digest_samples,
     estimate=lambda gains, memory: jnp.concatenate(
         [memory["told"][None], memory["order"][None], *(memory[k] for k in ACCOUNTS)]
     ),
@@ -118,7 +118,7 @@ def noise_of(seed):
     return rng.measurement_noise(0, seed, 100, 3)
 
 
-def expected(clocks, ticks, error, seed):
+def reference_digest(clocks, ticks, error, seed):
     """What the accounts of one run must say at tick N - 1, from its samples."""
     found = samples_of(clocks, ticks, 3, seed)
     noise = np.asarray(noise_of(seed))
@@ -131,7 +131,7 @@ def expected(clocks, ticks, error, seed):
     count, ages, indices, digest, values = np.zeros((len(ACCOUNTS), 3))
     order, last, told = 0.0, (0, 0), 0.0
     for taken, channels in sorted(on_sample.items()):
-        told = digested(told, [taken, sum(2**j for j in channels)])
+        told = fold_digest(told, [taken, sum(2**j for j in channels)])
     for (arrives, taken), packet in sorted(came.items()):
         last = last if arrives == last[1] else (last[1], arrives)
         believed = max(taken - error, 0)
@@ -141,9 +141,9 @@ def expected(clocks, ticks, error, seed):
             ages[j] += arrives - believed
             indices[j] += number
             said = (arrives, arrives - believed, number, believed + 0.25, arrives - last[0])
-            digest[j] = digested(digest[j], said)
+            digest[j] = fold_digest(digest[j], said)
             values[j] += (number + 1) * (taken + 1e3 * j + NOISE[j] * noise[j, number])
-        order = digested(order, [sum(2**s.channel for s in packet)])
+        order = fold_digest(order, [sum(2**s.channel for s in packet)])
     return np.concatenate([[told, order], count, ages, indices, digest, values])
 
 
@@ -170,7 +170,7 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
     )  # fmt: skip
     seeds = np.random.default_rng(width).integers(0, 1000, width)
     got = -np.asarray(spying(width)(jax.tree.map(np.asarray, p), seeds))
-    want = np.stack([expected(clocks, ticks, error, seed) for seed in seeds[:8]], -1)
+    want = np.stack([reference_digest(clocks, ticks, error, seed) for seed in seeds[:8]], -1)
     np.testing.assert_array_equal(got[:-3, :8], want[:-3])
     np.testing.assert_allclose(got[-3:, :8], want[-3:], rtol=1e-12, err_msg="the noise is not that of the sample")
     assert want[2:5].min() > 3, "something arrives on every channel of every run"

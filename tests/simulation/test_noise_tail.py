@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("in_a_hurry")
 PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 
 
-def tailed(degrees, **given):
+def study_with_tail(degrees, **given):
     return PLAIN | {"lti": PLAIN["lti"] | {"student_t_dof": degrees} | given}
 
 
@@ -34,7 +34,7 @@ def test_it_is_students_distribution_and_of_variance_one(n):
 
 @pytest.mark.ci
 def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
-    without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(tailed(3.0), "kf", seed=4)
+    without, found = pcbench.simulate(PLAIN, "kf", seed=4), pcbench.simulate(study_with_tail(3.0), "kf", seed=4)
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])
     ticks = np.arange(3, 61, 5)
     apart = (found["y1"] - without["y1"]).to_numpy()[ticks]
@@ -48,16 +48,16 @@ def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
 
 @pytest.mark.nightly
 def test_of_it_there_is_no_bound_and_no_exact_answer():
-    assert "rms_efficiency" not in set(pcbench.run(tailed(3.0), seeds=2).stats.metric)
-    (why,) = set(pcbench.exact_moments(tailed(3.0)).stats.reason.dropna())
+    assert "rms_efficiency" not in set(pcbench.run(study_with_tail(3.0), seeds=2).stats.metric)
+    (why,) = set(pcbench.exact_moments(study_with_tail(3.0)).stats.reason.dropna())
     assert "noise is Student's t with 3 degrees, which is not normal; use runs for it" in why
 
 
 REFUSED = [
-    (tailed(1.5), "expected more than 2 degrees of freedom"),
-    (tailed(-3.0), "expected a number of at least 0"),
-    (tailed(float("nan")), "finite number"),
-    (tailed(3.0, noise_std=[0.0]), "whose samples have no noise"),
+    (study_with_tail(1.5), "expected more than 2 degrees of freedom"),
+    (study_with_tail(-3.0), "expected a number of at least 0"),
+    (study_with_tail(float("nan")), "finite number"),
+    (study_with_tail(3.0, noise_std=[0.0]), "whose samples have no noise"),
 ]
 
 

@@ -21,10 +21,10 @@ from drawn_clocks import (
     TIMES,
     ahead,
     any_clocks,
+    delay_errors,
+    draw_samples,
     every_sample,
-    misjudged,
     one_clock,
-    realised,
     roomy,
     seed_of,
     ticks_of,
@@ -47,15 +47,15 @@ from pcbench.study import fits
 @settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, root=st.integers(0, 5), seed=seed_of)
 def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
-    assert realised(clocks, ticks, seed, root) == every_sample(clocks, ticks, root, seed)
+    assert draw_samples(clocks, ticks, seed, root) == every_sample(clocks, ticks, root, seed)
 
 
 @settings(max_examples=25)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
-    q, error = width(clocks), misjudged(data, clocks)
+    q, error = width(clocks), delay_errors(data, clocks)
     found = every_sample(clocks, ticks, 0, seed)
-    plan = common_times.schedule(realised(clocks, ticks, seed), ticks, q, error)
+    plan = common_times.schedule(draw_samples(clocks, ticks, seed), ticks, q, error)
     instants = sorted({s.tick for s in found})
     coming = {(s.arrives, s.tick) for s in found if s.arrives <= ticks}
     slots = plan.arrive.shape[1]
@@ -175,7 +175,7 @@ def overwritten(rows, size, ticks, error, late=(0,) * (ROOM + 1)):
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, clocks, ticks, seed):
     """Notes may be due for samples beyond the horizon: random intervals go on there, the others end."""
-    never_overwritten(clocks, ticks, seed, misjudged(data, clocks))
+    never_overwritten(clocks, ticks, seed, delay_errors(data, clocks))
 
 
 def test_a_stamp_that_drifts_beyond_the_horizon_asks_for_more_room():
@@ -224,7 +224,7 @@ def test_the_room_that_is_claimed_beforehand_is_needed(error):
 @settings(max_examples=60)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, clocks, ticks, seed):
-    error, q = misjudged(data, clocks), width(clocks)
+    error, q = delay_errors(data, clocks), width(clocks)
     plan = common_times.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
     size = common_times.in_flight(plan)
     assert not loses_a_packet(plan, size)
@@ -327,7 +327,7 @@ def times_of(clocks, seeds=range(SEEDS), root=0):
     return [jax.tree.map(np.asarray, CLOCK_TIMES(t, jnp.asarray(c), *address)) for c in range(len(clocks))]
 
 
-def changed(**change):
+def change_clocks(**change):
     return [clock._replace(**change) for clock in PAIR]
 
 
@@ -340,7 +340,7 @@ def test_a_run_alone_has_the_draws_it_has_among_others():
 def test_losses_do_not_move_the_times():
     base = times_of(PAIR)
     for loss in (0.0, 0.1, 0.9):
-        for (taken, arrives), (same, later) in zip(base, times_of(changed(loss=loss)), strict=True):
+        for (taken, arrives), (same, later) in zip(base, times_of(change_clocks(loss=loss)), strict=True):
             np.testing.assert_array_equal(taken, same)
             both = (arrives < NEVER) & (later < NEVER)
             assert both.any()
@@ -354,7 +354,7 @@ def test_losses_do_not_move_the_times():
 )
 def test_times_do_not_move_the_losses(change):
     known = slice(0, 4)  # taken within every horizon
-    for (_, arrives), (_, later) in zip(times_of(PAIR), times_of(changed(**change)), strict=True):
+    for (_, arrives), (_, later) in zip(times_of(PAIR), times_of(change_clocks(**change)), strict=True):
         np.testing.assert_array_equal(arrives[known] == NEVER, later[known] == NEVER)
         assert (arrives[known] == NEVER).any()
 
@@ -362,9 +362,9 @@ def test_times_do_not_move_the_losses(change):
 def test_jitters_leave_alone_what_they_are_not_of():
     base = times_of(PAIR)
     for change in ({"delay_jitter": 0}, {"delay": 40}):
-        for (taken, _), (same, _) in zip(base, times_of(changed(**change)), strict=True):
+        for (taken, _), (same, _) in zip(base, times_of(change_clocks(**change)), strict=True):
             np.testing.assert_array_equal(taken, same)
-    for (taken, _), (due, _) in zip(base, times_of(changed(jitter=0)), strict=True):
+    for (taken, _), (due, _) in zip(base, times_of(change_clocks(jitter=0)), strict=True):
         assert set((taken - due)[1:][due[1:] <= LONGEST]) == {-1, 0, 1}
         assert not taken[0].any(), "the first sample is taken at tick 0"
 
@@ -390,14 +390,14 @@ def test_as_many_are_lost_as_the_probability_says(loss):
 @pytest.mark.parametrize("clocks", [PAIR, [Clock((0, 1), 5, 0, (3, 11, 4), 1)]], ids=["two", "one"])
 def test_the_room_for_samples_changes_nothing(clocks):
     for seed in range(4):
-        assert realised(clocks, 63, seed, times=TIMES) == realised(clocks, 63, seed)
+        assert draw_samples(clocks, 63, seed, times=TIMES) == draw_samples(clocks, 63, seed)
 
 
 @pytest.mark.ci
 def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_are_jittered():
     clock = Clock((0,), 5, 0, "uniform", 1)
     for seed in range(60):
-        assert realised([clock], 5, seed, times=TIMES) == realised([clock], 5, seed)
+        assert draw_samples([clock], 5, seed, times=TIMES) == draw_samples([clock], 5, seed)
 
 
 def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon():

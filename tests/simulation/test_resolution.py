@@ -16,14 +16,14 @@ PLAIN = STUDY | {"observers": ["kf"], "options": {}}
 TICKS = np.arange(3, 61, 5)  # a sample every 5 ticks, 3 ticks late
 
 
-def rounded(step, dither=0.0, **given):
+def rounding_study(step, dither=0.0, **given):
     return PLAIN | {"lti": PLAIN["lti"] | {"quantization_step": step, "dither": dither} | given}
 
 
 @pytest.mark.ci
 @pytest.mark.parametrize("dither", [0.0, 1.0])
 def test_samples_are_whole_steps_of_what_they_were_and_all_else_is_as_without(dither):
-    without, found = (pcbench.simulate(s, "kf", seed=4) for s in (PLAIN, rounded([0.25], dither)))
+    without, found = (pcbench.simulate(s, "kf", seed=4) for s in (PLAIN, rounding_study([0.25], dither)))
     np.testing.assert_array_equal(found[["a", "b"]], without[["a", "b"]])
     y, got = (trace["y1"].to_numpy()[TICKS] for trace in (without, found))
     u = np.array([threefry.uniform(0, 4, "dither", 0, i, 1)[0] for i in range(len(TICKS))])
@@ -67,7 +67,7 @@ def test_a_step_of_0_is_none():
 def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wrong_it_is():
     """D^2/12 beside the noise's own: with the scale that says so its nis is near 1; told nothing it is optimistic."""
     axes = {"assumed_noise_scale": [1.0, float(np.sqrt(1 + 1.5**2 / 12 / 0.3**2))]}
-    study = rounded([1.5], 1.0) | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
+    study = rounding_study([1.5], 1.0) | {"options": {"scenario": {"random_initial_state": True, "consistency": True}}}
     found = pcbench.run(study, axes=axes, seeds=256).stats
     unaware, told = found[found.metric == "nis"].sort_values("assumed_noise_scale")["mean"]
     assert unaware > 2.0
@@ -76,22 +76,22 @@ def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wron
 
 @pytest.mark.nightly
 def test_of_it_there_is_no_bound_and_no_exact_answer_and_a_run_among_others_is_the_run_alone():
-    study = rounded([0.5], 1.0, loss=0.2, delay_jitter=0.4)
+    study = rounding_study([0.5], 1.0, loss=0.2, delay_jitter=0.4)
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])
     for seed in range(3):
         trace = pcbench.simulate(study, "kf", seed=seed)
         assert runs.loc[(seed, "a"), "final_error"] == pytest.approx((trace["a"] - trace["kf.a"])[59], rel=1e-9)
-    assert "rms_efficiency" not in set(pcbench.run(rounded([0.5]), seeds=2).stats.metric)
-    (why,) = set(pcbench.exact_moments(rounded([0.5])).stats.reason.dropna())
+    assert "rms_efficiency" not in set(pcbench.run(rounding_study([0.5]), seeds=2).stats.metric)
+    (why,) = set(pcbench.exact_moments(rounding_study([0.5])).stats.reason.dropna())
     assert "has samples that are rounded, which is not affine in what is measured; use runs for it" in why
 
 
 REFUSED = [
-    (rounded([-1.0]), "expected a number of at least 0"),
-    (rounded([float("nan")]), "finite number"),
-    (rounded([0.1, 0.2]), "got 2 values, expected one or 1"),
-    (rounded([0.1], 0.5), "expected 1 \\(with subtractive dither\\) or 0"),
-    (rounded([], 1.0), "got dither = 1 in lti, whose samples are not rounded"),
+    (rounding_study([-1.0]), "expected a number of at least 0"),
+    (rounding_study([float("nan")]), "finite number"),
+    (rounding_study([0.1, 0.2]), "got 2 values, expected one or 1"),
+    (rounding_study([0.1], 0.5), "expected 1 \\(with subtractive dither\\) or 0"),
+    (rounding_study([], 1.0), "got dither = 1 in lti, whose samples are not rounded"),
 ]
 
 

@@ -11,7 +11,7 @@ from pcbench.simulation.schedule.common_times import Sample, in_flight, pad_slot
 channels = st.integers(1, 3)
 
 
-def taken_of(plan, tick, slot):
+def sampling_tick(plan, tick, slot):
     """The tick at which what arrives was taken."""
     return np.flatnonzero(plan.sense == plan.arrive[tick, slot])[0]
 
@@ -19,7 +19,7 @@ def taken_of(plan, tick, slot):
 def arrivals(plan):
     """(tick, channel, index, taken) of everything that arrives, in order of delivery."""
     return [
-        (tick, j, int(plan.number[tick, slot, j]), int(taken_of(plan, tick, slot)))
+        (tick, j, int(plan.number[tick, slot, j]), int(sampling_tick(plan, tick, slot)))
         for tick in range(len(plan.sense))
         for slot in range(plan.arrive.shape[1])
         if plan.arrive[tick, slot] >= 0
@@ -54,7 +54,7 @@ def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data,
     plan = schedule(samples, ticks, 1)
     assert set(arrivals(plan)) == {(s.arrives, 0, s.number, s.tick) for s in samples if s.arrives <= ticks}
     for tick in range(ticks + 1):
-        taken = [taken_of(plan, tick, slot) for slot in np.flatnonzero(plan.arrive[tick] >= 0)]
+        taken = [sampling_tick(plan, tick, slot) for slot in np.flatnonzero(plan.arrive[tick] >= 0)]
         assert (np.diff(taken) > 0).all()
 
 

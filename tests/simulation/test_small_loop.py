@@ -37,15 +37,15 @@ def path(k):
     return 0.5 * np.sin(0.21 * np.asarray(k))[..., None]
 
 
-def aimed(params, tick):
+def aim(params, tick):
     return params.path[tick + BACK]
 
 
 CONTROLLER = Controller(
-    target=aimed,
-    before=lambda params, tick, estimate: -params.K @ estimate + 0.1 * aimed(params, tick)[0],
+    target=aim,
+    before=lambda params, tick, estimate: -params.K @ estimate + 0.1 * aim(params, tick)[0],
     command=lambda params, now, estimate, coming: (
-        -params.K @ jnp.append(estimate[:1] - aimed(params, now.tick), estimate[1:]) + 0.2 * coming(jnp.asarray(0))
+        -params.K @ jnp.append(estimate[:1] - aim(params, now.tick), estimate[1:]) + 0.2 * coming(jnp.asarray(0))
     ),
 )
 OBSERVER = Observer(
@@ -77,7 +77,7 @@ def outcome():
         return jax.tree.map(np.asarray, run(p, SEEDS))
 
 
-def applied(commands, n, newest):
+def input_of(commands, n, newest):
     """The input of tick n: linear interpolation between commands at the middle of the tick less the delay."""
     when = n + 0.5 - AGE
     first = int(np.floor(when))
@@ -85,7 +85,7 @@ def applied(commands, n, newest):
     return a + (when - first) * (b - a)
 
 
-def written_out(seed):
+def reference_run(seed):
     """Errors and set point less state [N, ...] of one run, and when it was lost (-1: never)."""
     with config.float64():
         keys = rng.run_keys(jnp.asarray(0), jnp.asarray([seed]), "initial", 2)
@@ -101,19 +101,19 @@ def written_out(seed):
             xhat = xhat + L @ (on_its_way[k] - C @ xhat)
         e.append(x - xhat)
         wanted = -K @ (xhat - [path(k)[0], 0.0])
-        commands[k] = wanted + 0.2 * applied(commands, k, k - 1)
+        commands[k] = wanted + 0.2 * input_of(commands, k, k - 1)
         off.append(path(k) - x[:1])
         if lost < 0 and (np.abs(e[-1]) > BOUND).any():
             lost = k
         if lost < 0:
-            u = applied(commands, k, k)
+            u = input_of(commands, k, k)
             x, xhat = A @ x + B @ u, A @ xhat + B @ u
     return np.array(e), np.array(off), lost
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return [written_out(seed) for seed in SEEDS.tolist()]
+    return [reference_run(seed) for seed in SEEDS.tolist()]
 
 
 @pytest.mark.parametrize("run", range(3))

@@ -26,11 +26,11 @@ ODD_STUDY = {
 }  # fmt: skip
 
 
-def stamped(**given):
+def stamp_study(**given):
     return ODD_STUDY | {"lti": ODD_STUDY["lti"] | given}
 
 
-def said(taken, wrong, seed):
+def stamp_tick(taken, wrong, seed):
     """The tick that the stamp of a sample says."""
     jitter = round(wrong.get("timestamp_jitter", 0.0) / TICK)
     drawn = int(threefry.uniform(0, seed, "stamp", 0, taken, 1)[0] * (2 * jitter + 1)) - jitter
@@ -48,11 +48,11 @@ def said(taken, wrong, seed):
 )
 def test_a_filter_that_is_told_them_is_the_one_whose_samples_are_of_those_times(names):
     wrong = {name: WRONG[name] for name in names}
-    trace = pcbench.simulate(stamped(**wrong), "kf", seed=3)
+    trace = pcbench.simulate(stamp_study(**wrong), "kf", seed=3)
     u, model = trace[["u1", "u2"]].to_numpy(), linear.Model(ODD.A, ODD.B, ODD.C, TICK)
     times = [[(k, k + late) for k in range(0, N + 1, te)] for te, late in zip((7, 11), LATE, strict=True)]
     x, samples = irregular.simulate(model, u, np.array(X0), times)
-    samples = [s._replace(taken=said(s.taken, wrong, 3)) for s in samples]
+    samples = [s._replace(taken=stamp_tick(s.taken, wrong, 3)) for s in samples]
     want = irregular.kf(model, u, samples, np.array(XHAT0), np.diag(np.square(PRIOR)), np.array(R))
     np.testing.assert_allclose(trace[["a", "b", "c"]].to_numpy(), x, rtol=0, atol=1e-10)
     np.testing.assert_allclose(trace[["kf.a", "kf.b", "kf.c"]].to_numpy(), want, rtol=0, atol=1e-10)
@@ -60,8 +60,8 @@ def test_a_filter_that_is_told_them_is_the_one_whose_samples_are_of_those_times(
 
 @pytest.mark.ci
 def test_all_else_is_as_without_and_an_offset_is_a_delay_error_that_nobody_assumes():
-    plain = pcbench.simulate(stamped(), "kf", seed=3)
-    wrong = pcbench.simulate(stamped(**WRONG), "kf", seed=3)
+    plain = pcbench.simulate(stamp_study(), "kf", seed=3)
+    wrong = pcbench.simulate(stamp_study(**WRONG), "kf", seed=3)
     np.testing.assert_array_equal(plain[["a", "b", "c", "y1", "y2"]], wrong[["a", "b", "c", "y1", "y2"]])
     older, offset = (
         pcbench.simulate(ODD_STUDY | {"axes": {name: [late]}}, "kf")
@@ -73,7 +73,7 @@ def test_all_else_is_as_without_and_an_offset_is_a_delay_error_that_nobody_assum
 @pytest.mark.nightly
 @pytest.mark.parametrize("wrong", [WRONG, {"timestamp_jitter": 2 * TICK}], ids=["all", "sampling_jitter"])
 def test_a_run_among_others_is_the_run_alone(wrong):
-    study = stamped(**wrong, loss=0.2, delay_jitter=0.1, noise_std=[0.1, 0.1])
+    study = stamp_study(**wrong, loss=0.2, delay_jitter=0.1, noise_std=[0.1, 0.1])
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])
     for seed in range(3):
         trace = pcbench.simulate(study, "kf", seed=seed)
@@ -129,7 +129,7 @@ REFUSED = [
 @pytest.mark.parametrize(("given", "sentence"), REFUSED, ids=str)
 def test_what_cannot_be_is_one_sentence(given, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
-        pcbench.run(stamped(**given), seeds=1)
+        pcbench.run(stamp_study(**given), seeds=1)
     assert "\n" not in str(caught.value)
 
 
@@ -142,7 +142,7 @@ def test_who_does_not_use_the_age_of_a_sample_says_so(observer, scenario):
 
 def test_who_is_told_when_a_sample_is_taken_says_so():
     with pytest.raises(UserError, match="kf-cloning in lti got timestamp_offset, expected correct timestamps"):
-        pcbench.run(stamped(timestamp_offset=-TICK) | {"observers": ["kf-cloning"], "options": {}}, seeds=1)
+        pcbench.run(stamp_study(timestamp_offset=-TICK) | {"observers": ["kf-cloning"], "options": {}}, seeds=1)
 
 
 def test_an_axis_of_them_is_refused_where_nothing_is_sampled():

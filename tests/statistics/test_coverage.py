@@ -47,7 +47,7 @@ def inside(low, truth, high):
     return ((low <= truth) & (truth <= high)).mean()
 
 
-def covered(name, n):
+def coverages(name, n):
     """Coverage of the mean and of the pooled rms of runs whose mean square is drawn."""
     truth, found = DRAW[name][1].mean(), []
     for x in experiments(name, n):
@@ -60,7 +60,7 @@ def covered(name, n):
 @pytest.mark.ci
 @pytest.mark.parametrize(("name", "n"), HOLDS)
 def test_mean_and_pooled_rmse_are_covered_in_93_5_to_96_5_percent(name, n):
-    mean, pooled = covered(name, n)
+    mean, pooled = coverages(name, n)
     assert 0.935 <= mean <= 0.965
     assert 0.935 <= pooled <= 0.965
 
@@ -68,7 +68,7 @@ def test_mean_and_pooled_rmse_are_covered_in_93_5_to_96_5_percent(name, n):
 @pytest.mark.parametrize(("name", "n", "coverage", "students"), FAILS)
 def test_it_fails_for_few_runs_of_heavy_tails_and_students_own_more(name, n, coverage, students):
     """As `estimates` says."""
-    for found in covered(name, n):
+    for found in coverages(name, n):
         assert found < 0.935
         assert found == pytest.approx(coverage, abs=0.007)
     truth, plain = DRAW[name][1].mean(), [student(moments(x)) for x in experiments(name, n)]
@@ -147,7 +147,7 @@ def unlike(rng, shape):
     return shared + rng.standard_exponential(shape), shared + rng.standard_gamma(4.0, shape) / 4
 
 
-def tied(rng, shape):
+def draw_ties(rng, shape):
     """Two observers that mostly do the same."""
     a, b = alike(rng, shape)
     return a, np.where(rng.random(shape) < 0.5, a, b)
@@ -164,7 +164,7 @@ def p_values(draw, n, repeats=REPEATS, shift=0.0):
 
 @pytest.mark.ci
 @pytest.mark.parametrize(
-    ("draw", "n"), [(alike, 64), (alike, 256), (tied, 64), (tied, 256), (unlike, 256), (unlike, 1024)]
+    ("draw", "n"), [(alike, 64), (alike, 256), (draw_ties, 64), (draw_ties, 256), (unlike, 256), (unlike, 1024)]
 )
 def test_the_paired_test_raises_at_most_5_percent_false_alarms(draw, n):
     """And not many fewer, and it finds a difference that there is."""
@@ -175,7 +175,7 @@ def test_the_paired_test_raises_at_most_5_percent_false_alarms(draw, n):
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("draw", "n"), [(alike, 16), (alike, 64), (alike, 256), (tied, 256), (unlike, 256)])
+@pytest.mark.parametrize(("draw", "n"), [(alike, 16), (alike, 64), (alike, 256), (draw_ties, 256), (unlike, 256)])
 def test_ratio_of_paired_means_is_covered_in_93_5_to_96_5_percent(draw, n):
     """Also if the true ratio is not 1."""
     rng, found = np.random.default_rng([n, 7, *draw.__name__.encode()]), []

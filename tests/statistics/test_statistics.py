@@ -92,7 +92,7 @@ def test_an_interval_of_sizes_is_students_of_their_means_logarithm_and_never_bel
 def test_pooled_interval_is_the_root_of_the_mean_squares_interval():
     square = statistics.size(A)
     low, high = square["ci_low"], square["ci_high"]
-    got = runs_as_rows.pooled(A)
+    got = runs_as_rows.pool(A)
     assert (got["mean"], got["ci_low"], got["ci_high"]) == pytest.approx(np.sqrt([A.mean(), low, high]))
     assert got["se"] == pytest.approx(stats.sem(A) / (2 * np.sqrt(A.mean())))
 
@@ -262,7 +262,7 @@ def cell(seed, n, observers, divergence, kind):
     return out
 
 
-def cut(cell, size):
+def chunks_of(cell, size):
     """Passes over a cell in chunks; how often one was asked for is in the list."""
     n, passes = len(next(iter(cell.values()))["diverged"]), []
 
@@ -300,7 +300,7 @@ def assert_rows_agree(got, want):
 )
 def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, divergence, kind, size, held, splitters):
     whole = cell(seed, n, observers, divergence, kind)
-    chunks, passes = cut(whole, size)
+    chunks, passes = chunks_of(whole, size)
     bounds = {label: np.array([0.5, np.nan]) for label in whole} | {"observer-0": None}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(quantile_intervals, "MAX_STORED", held)
@@ -367,7 +367,7 @@ def test_two_thousand_chunks_lose_no_digits():
     """Of values that vary by 1e-6 about 1000, one at a time."""
     x = 1000 + 1e-6 * RNG.normal(size=2000)
     whole = {"a": dict.fromkeys(PLAIN, x[None]) | {"diverged": x < 0, "unsettled": x[None] < 0}}
-    (row, *_), want = runs_as_rows.summarise(cut(whole, 1)[0], {"a": None}, [], ())[0]["a"], statistics.size(x)
+    (row, *_), want = runs_as_rows.summarise(chunks_of(whole, 1)[0], {"a": None}, [], ())[0]["a"], statistics.size(x)
     assert row["mean"] == pytest.approx(want["mean"], rel=1e-14)
     assert row["se"] == pytest.approx(want["se"], rel=1e-6)
 
@@ -376,13 +376,13 @@ def test_numbers_do_not_depend_on_how_the_arrays_lie_in_memory():
     whole = cell(3, 3000, 3, 0.1, "smooth")
     turned = {label: {m: np.asfortranarray(v) for m, v in results.items()} for label, results in whole.items()}
     bounds = dict.fromkeys(whole, np.array([0.5, 0.5]))
-    got = [runs_as_rows.summarise(cut(each, 1000)[0], bounds, SIGNALS, SIZES) for each in (whole, turned)]
+    got = [runs_as_rows.summarise(chunks_of(each, 1000)[0], bounds, SIGNALS, SIZES) for each in (whole, turned)]
     assert repr(got[0]) == repr(got[1])
 
 
 def test_many_runs_are_read_twice_and_few_once():
     for n, want in [(4096, 1), (4097, 2)]:
-        chunks, passes = cut(cell(1, n, 2, 0.0, "smooth"), statistics.CHUNK)
+        chunks, passes = chunks_of(cell(1, n, 2, 0.0, "smooth"), statistics.CHUNK)
         runs_as_rows.summarise(chunks, {"observer-0": None, "observer-1": None}, SIGNALS, SIZES)
         assert len(passes) == want
 
@@ -396,7 +396,7 @@ def test_zero_is_a_part_of_the_signals_size_squared_for_squares(metric, zero):
         a = {m: np.zeros((2, 8)) for m in statistics.RUN_METRICS} | {"diverged": np.zeros(8, bool)}
         a["unsettled"] = np.zeros((2, 8), bool)
         b = a | {metric: np.full((2, 8), times * zero)}
-        _, rows = runs_as_rows.summarise(cut({"a": a, "b": b}, 8)[0], {"a": None, "b": None}, SIGNALS, SIZES)
+        _, rows = runs_as_rows.summarise(chunks_of({"a": a, "b": b}, 8)[0], {"a": None, "b": None}, SIGNALS, SIZES)
         (row,) = (r for r in rows if r["signal"] == "velocity" and r["metric"] == metric)
         assert row["prob_a_better"] == better
 

@@ -16,7 +16,7 @@ TICK = 0.01
 NEVER = 10**8  # ticks; no sample that arrives is so late
 
 
-def recorded(folder, many=30, channels=("y1",), seed=0):
+def write_log(folder, many=30, channels=("y1",), seed=0):
     """A log from 3 s on with gaps, out-of-sequence samples and lost ones; returns (taken, arrives) in ticks from its start."""
     rng = np.random.default_rng(seed)
     taken = np.concatenate([[0], np.cumsum(rng.integers(4, 12, many - 1))])
@@ -45,7 +45,7 @@ def of_the_log(taken, late, ticks):
 
 @pytest.mark.parametrize("horizon", [0.5, 1.5, 6.0], ids=["a part", "most", "again and again"])
 def test_samples_are_those_of_the_log(tmp_path, horizon):
-    taken, late = recorded(tmp_path / "flight")
+    taken, late = write_log(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight", duration=horizon), ["kf"], [])
     found = [s for s in samples_of(cell) if s.tick <= cell.times.ticks]
     got = [(s.tick, None if s.arrives > NEVER else s.arrives) for s in found]
@@ -54,7 +54,7 @@ def test_samples_are_those_of_the_log(tmp_path, horizon):
 
 
 def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
-    taken, late = recorded(tmp_path / "flight")
+    taken, late = write_log(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
     each = [(t, a) for t, a in of_the_log(taken, late, cell.times.ticks) if a is not None]
     most = max(sum(newer > t and sooner < a for newer, sooner in each) for t, a in each)
@@ -62,7 +62,7 @@ def test_an_observer_keeps_places_for_as_many_as_overtake(tmp_path):
 
 
 def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sample(tmp_path):
-    taken, late = recorded(tmp_path / "flight", channels=("y1", "y2"))
+    taken, late = write_log(tmp_path / "flight", channels=("y1", "y2"))
     two = {"C": [[1.0, 0.0], [0.0, 1.0]]}
     resolved = parse.grid_of(study(tmp_path / "flight", **two), {}, []).study.lti
     assert "in-turn:" not in str(resolved)
@@ -73,7 +73,7 @@ def test_the_resolved_study_needs_no_log_and_channels_of_one_instant_are_one_sam
 
 def test_several_logs_are_several_scenarios(tmp_path):
     for name, seed in (("lab", 1), ("field", 2)):
-        recorded(tmp_path / name, seed=seed)
+        write_log(tmp_path / name, seed=seed)
     tables = {name: {"base": "cart/gaussian", "delay": f"in-turn:{tmp_path / name}"} for name in ("lab", "field")}
     grid = parse.grid({"name": "two", "scenarios": tables, "observers": ["kf"]}, "two", parse.FROM_HERE)
     lab, field = (cell.times.clocks[0] for cell in grid.cells)
@@ -104,7 +104,7 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
     ],
 )
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
-    recorded(tmp_path / "flight")
+    write_log(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
         parse.grid(study(tmp_path / "flight", **more) | {"observers": ["kf"]}, "motor", parse.FROM_HERE)
     assert sentence in str(caught.value)

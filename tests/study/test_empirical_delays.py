@@ -12,7 +12,7 @@ from pcbench.study import empirical_delays, parse
 TICK = 0.01
 
 
-def recorded(folder, many=4000):
+def write_log(folder, many=4000):
     """A log whose delays are a chain: short for a while, then long for a while; one in ten never arrives."""
     rng = np.random.default_rng(6)
     long = np.cumsum(rng.random(many) < 0.1) % 2 == 1
@@ -29,7 +29,7 @@ def study(log):
 
 @pytest.mark.ci
 def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
-    late = recorded(tmp_path / "flight")
+    late = write_log(tmp_path / "flight")
     _, cell = parse.one_cell(study(tmp_path / "flight"), ["kf"], [])
     found = [
         s for seed in range(12) for s in random_times.draw_samples(cell.times.clocks, cell.times.ticks, 1, 0, seed)
@@ -43,7 +43,7 @@ def test_delays_of_runs_are_distributed_as_those_of_the_log(tmp_path):
 
 
 def test_the_resolved_study_needs_no_log(tmp_path):
-    recorded(tmp_path / "flight")
+    write_log(tmp_path / "flight")
     found = parse.grid_of(study(tmp_path / "flight"), {}, []).study.lti
     assert found.delay == 0.03
     assert max(found.delay_values) == pytest.approx(0.09)
@@ -54,13 +54,13 @@ def test_the_resolved_study_needs_no_log(tmp_path):
 def test_a_log_is_found_beside_its_study(tmp_path):
     import tomli_w
 
-    recorded(tmp_path / "flight")
+    write_log(tmp_path / "flight")
     (tmp_path / "late.toml").write_text(tomli_w.dumps(study("flight")))
     assert parse.grid_of(str(tmp_path / "late.toml"), {}, []).study.lti.delay == 0.03
 
 
 def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
-    recorded(tmp_path / "flight", 400)
+    write_log(tmp_path / "flight", 400)
     one = pd.read_csv(tmp_path / "flight" / "measurements.csv")
     both = pd.concat([one, one.assign(channel="y2")]).sort_values("sampled", kind="stable")
     rows(tmp_path / "both", both.to_dict("list"))
@@ -95,7 +95,7 @@ def test_delays_that_are_all_alike_are_one_delay(tmp_path):
     ],
 )
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
-    recorded(tmp_path / "flight", 50)
+    write_log(tmp_path / "flight", 50)
     given = study(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
         parse.grid_of(given | {"lti": given["lti"] | more}, {}, [])
@@ -121,7 +121,7 @@ def constant(ticks):
     return lambda rng, many: np.full(many, float(ticks))
 
 
-def varied(least):
+def delay_sampler(least):
     return lambda rng, many: least + rng.choice([0.0, 2.0, 5.0], many, p=[0.5, 0.3, 0.2])
 
 
@@ -133,14 +133,16 @@ def test_channels_with_constant_delays_have_each_its_own(tmp_path):
 
 
 def test_channels_share_what_varies_and_keep_their_least_delay_and_loss(tmp_path):
-    found = parse.grid_of(two_channels(tmp_path / "net", varied(1), varied(9), (0.0, 0.3)), {}, []).study.lti
+    found = parse.grid_of(
+        two_channels(tmp_path / "net", delay_sampler(1), delay_sampler(9), (0.0, 0.3)), {}, []
+    ).study.lti
     assert found.delay == [0.01, 0.09]
     assert found.delay_values == pytest.approx([0.0, 0.02, 0.05])
     assert found.loss == pytest.approx([0.0, 0.3], abs=0.06)
 
 
 def test_channels_whose_delays_vary_differently_have_a_law_each(tmp_path):
-    found = parse.grid_of(two_channels(tmp_path / "net", constant(4), varied(3)), {}, []).study.lti
+    found = parse.grid_of(two_channels(tmp_path / "net", constant(4), delay_sampler(3)), {}, []).study.lti
     assert found.delay == [0.04, 0.03]
     assert found.delay_values == [[], pytest.approx([0.0, 0.02, 0.05])]
     assert [len(row) for row in found.delay_self_transition] == [0, 3]
@@ -149,7 +151,7 @@ def test_channels_whose_delays_vary_differently_have_a_law_each(tmp_path):
 @pytest.mark.ci
 def test_delays_of_each_channel_are_drawn_as_in_its_own_recording(tmp_path):
     one = lambda rng, many: 1 + rng.choice([0.0, 7.0], many, p=[0.8, 0.2])  # noqa: E731
-    _, cell = parse.one_cell(two_channels(tmp_path / "net", one, varied(3), many=2000), ["kf"], [])
+    _, cell = parse.one_cell(two_channels(tmp_path / "net", one, delay_sampler(3), many=2000), ["kf"], [])
     drawn = [
         s for seed in range(40) for s in random_times.draw_samples(cell.times.clocks, cell.times.ticks, 2, 0, seed)
     ]

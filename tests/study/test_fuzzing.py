@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import tomli_w
-from fuzzed import BUILT_IN, OWN, PUBLISHED, changed, documents, extreme, keys, values
+from fuzzed import BUILT_IN, OWN, PUBLISHED, documents, extreme, keys, mutants, values
 from hanging import in_time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -53,7 +53,7 @@ def ticks_of(study):
     return sum(cell.times.ticks * len(observers_of(study, name)) for name, cell in every)
 
 
-def written(folder, content):
+def write_study(folder, content):
     """Write a study (text, bytes or what TOML holds) to a file, and return its path."""
     path = folder / "study.toml"
     text = tomli_w.dumps(content) if isinstance(content, dict) else content
@@ -65,8 +65,8 @@ OF_ONES_OWN = "a plant of one's own, changed"
 CONTENT = {  # what a file may hold, and how many ticks of it are planned: by default, and in slow tests
     "any TOML": (documents, 0, 0),
     "no TOML": (st.text() | st.binary(), 0, 0),
-    "a published study, changed": (changed(PUBLISHED + BUILT_IN), 0, 50_000),
-    OF_ONES_OWN: (changed(OWN), 2_000, 20_000),
+    "a published study, changed": (mutants(PUBLISHED + BUILT_IN), 0, 50_000),
+    OF_ONES_OWN: (mutants(OWN), 2_000, 20_000),
 }
 
 
@@ -80,14 +80,14 @@ def folder(tmp_path_factory):
 @settings(max_examples=40, **FEW)
 @given(data=st.data())
 def test_a_file_is_read_or_refused_in_one_sentence(what, data, folder):
-    outcome(written(folder, data.draw(CONTENT[what][0])))
+    outcome(write_study(folder, data.draw(CONTENT[what][0])))
 
 
 @pytest.mark.ci
 @settings(max_examples=10, **FEW)
 @given(content=CONTENT[OF_ONES_OWN][0])
 def test_a_plant_of_ones_own_is_planned_or_refused_in_one_sentence(content, folder):
-    outcome(written(folder, content), most=CONTENT[OF_ONES_OWN][1])
+    outcome(write_study(folder, content), most=CONTENT[OF_ONES_OWN][1])
 
 
 @pytest.mark.nightly
@@ -96,7 +96,7 @@ def test_a_plant_of_ones_own_is_planned_or_refused_in_one_sentence(content, fold
 @given(data=st.data())
 def test_many_files_are_planned_or_refused_in_one_sentence(what, data, folder):
     content, _, most = CONTENT[what]
-    outcome(written(folder, data.draw(content)), most=most)
+    outcome(write_study(folder, data.draw(content)), most=most)
 
 
 path_of_keys = st.lists(keys, max_size=4).map(".".join)
@@ -107,14 +107,14 @@ changes = st.builds("{}={}".format, path_of_keys, values | st.text(max_size=12))
 @settings(max_examples=40, **FEW)
 @given(change=changes, study=st.sampled_from(OWN))
 def test_a_change_by_set_is_made_or_refused_in_one_sentence(folder, change, study):
-    outcome(written(folder, study), [change])
+    outcome(write_study(folder, study), [change])
 
 
 @pytest.mark.nightly
 @settings(max_examples=2_000, **MANY)
 @given(change=changes, study=st.sampled_from(OWN))
 def test_many_changes_by_set_are_made_or_refused_in_one_sentence(folder, change, study):
-    outcome(written(folder, study), [change], most=3_000)
+    outcome(write_study(folder, study), [change], most=3_000)
 
 
 def tables_hold_numbers(path):
@@ -135,21 +135,21 @@ def tables_hold_numbers(path):
 @settings(max_examples=12, **FEW)
 @given(content=extreme)
 def test_a_plant_of_extreme_numbers_runs_or_is_refused_in_one_sentence(content, folder):
-    tables_hold_numbers(written(folder, content))
+    tables_hold_numbers(write_study(folder, content))
 
 
 @pytest.mark.nightly
 @settings(max_examples=1_000, **MANY)
 @given(content=extreme)
 def test_many_plants_of_extreme_numbers_run_or_are_refused_in_one_sentence(content, folder):
-    tables_hold_numbers(written(folder, content))
+    tables_hold_numbers(write_study(folder, content))
 
 
 @pytest.mark.nightly
 @settings(max_examples=25, **MANY)
-@given(content=changed([study for study in OWN if "lti" in study]))
+@given(content=mutants([study for study in OWN if "lti" in study]))
 def test_studies_with_changes_run_to_the_end_or_are_refused_in_one_sentence(content, folder):
-    path = written(folder, content)
+    path = write_study(folder, content)
     study = outcome(path, most=20_000)
     if study is not None and ticks_of(study) <= 20_000 and study.seeds <= 10:
         tables_hold_numbers(path)

@@ -24,7 +24,7 @@ def text(chosen):
     return to_toml(chosen, cells_of(chosen))
 
 
-def hashed(chosen):
+def hash_study(chosen):
     return digest(chosen, cells_of(chosen))
 
 
@@ -122,8 +122,8 @@ def test_a_study_is_written_with_all_that_decides_its_numbers():
 
 @pytest.mark.parametrize("changes", [{"seeds": 3}, {"root_seed": 1}, {"axes": {"loss": [0.1]}}, {"observers": ["kf"]}])
 def test_the_digest_of_a_study_changes_with_whatever_changes_its_numbers(changes):
-    assert hashed(study()) == hashed(study())
-    assert hashed(study(**changes)) != hashed(study())
+    assert hash_study(study()) == hash_study(study())
+    assert hash_study(study(**changes)) != hash_study(study())
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -25,7 +25,7 @@ value = {}
 """
 
 
-def executed(folder, value):
+def execute(folder, value):
     (folder / "mine.py").write_text(MINE)
     (folder / "helpers.py").write_text(HELPERS.format(value))
     code = user_code.code_of("mine.py:value", "here", folder)
@@ -43,15 +43,15 @@ def unchanged():
 def test_a_module_of_the_host_program_stays_where_the_file_has_one_of_its_name(tmp_path, monkeypatch):
     hosts = ModuleType("helpers")
     monkeypatch.setitem(sys.modules, "helpers", hosts)
-    assert executed(tmp_path, 1).value == 1
+    assert execute(tmp_path, 1).value == 1
     assert sys.modules["helpers"] is hosts
-    assert executed(tmp_path, 2).value == 2, "another content is another module"
+    assert execute(tmp_path, 2).value == 2, "another content is another module"
     assert sys.modules["helpers"] is hosts
 
 
 def test_types_of_a_file_beside_it_are_found_when_they_are_unpickled(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "helpers", ModuleType("helpers"))
-    module = executed(tmp_path, 3)
+    module = execute(tmp_path, 3)
     assert pickle.loads(pickle.dumps(module.found)) == module.found
     assert type(pickle.loads(pickle.dumps(module.found))) is type(module.found)
 
@@ -60,7 +60,7 @@ def test_a_file_that_fails_leaves_the_host_as_it_was(tmp_path, monkeypatch):
     hosts = ModuleType("helpers")
     monkeypatch.setitem(sys.modules, "helpers", hosts)
     with pytest.raises(user_code.UserError, match="ZeroDivisionError"):
-        executed(tmp_path, "1 / 0")
+        execute(tmp_path, "1 / 0")
     assert sys.modules["helpers"] is hosts
 
 

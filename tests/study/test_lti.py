@@ -49,7 +49,7 @@ def study(plant, observers, **changes):
     return {"name": plant, "lti": PLANTS[plant] | changes, "observers": observers, "options": options}
 
 
-def discretised(plant):
+def discretise(plant):
     """Phi, Gamma, C, D and the tick by scipy.signal."""
     own = PLANTS[plant]
     A, B, C = (np.array(own[k]) for k in "ABC")
@@ -75,7 +75,7 @@ def columns(d, prefix, names):
 @pytest.mark.ci
 def test_the_plant_moves_as_scipys(traced):
     plant, _, d = traced
-    F, G, C, D, dt = discretised(plant)
+    F, G, C, D, dt = discretise(plant)
     x, u = columns(d, "", names(plant)), columns(d, "u", range(1, G.shape[1] + 1))
     _, _, want = signal.dlsim((F, G, C, D, dt), u, x0=PLANTS[plant]["x0"])
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-12 * np.abs(want).max())
@@ -89,7 +89,7 @@ def names(plant):
 @pytest.mark.ci
 def test_measurements_are_those_of_their_own_ticks_and_hold_the_input_of_that_tick(traced):
     plant, _, d = traced
-    _, G, C, D, dt = discretised(plant)
+    _, G, C, D, dt = discretise(plant)
     x, u, y = columns(d, "", names(plant)), columns(d, "u", range(1, G.shape[1] + 1)), columns(d, "y", (1, 2))
     own = PLANTS[plant]
     for j in range(2):
@@ -117,7 +117,7 @@ def noisy(request):
     plant, own = request.param, PLANTS[request.param]
     observers = TWO_CLOCKS if plant == "motor" else ONE_CLOCK
     d = pcbench.simulate(study(plant, observers), observers)
-    _, G, C, D, dt = discretised(plant)
+    _, G, C, D, dt = discretise(plant)
     u, y = columns(d, "u", range(1, G.shape[1] + 1)), columns(d, "y", (1, 2))
     samples = []
     for j in range(2):

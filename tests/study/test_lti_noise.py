@@ -43,7 +43,7 @@ def the_cell(**asked):
     return cell
 
 
-def drawn(seed):
+def draw_normals(seed):
     """The standard normals of a run, [N+1, n]."""
     with config.float64():
         keys = rng.run_keys(np.asarray(0), np.array([seed]), "process", 3)
@@ -69,7 +69,7 @@ def test_the_plant_is_pushed_by_the_root_of_the_covariance_of_a_tick(given, root
     Phi, Gamma = linear.discretise(MODEL.A, MODEL.B, TICK)
     if "dt" in given:
         Phi, Gamma = SLOW, MODEL.B
-    want, w = [np.array(PLANT["x0"])], drawn(2) @ root.T
+    want, w = [np.array(PLANT["x0"])], draw_normals(2) @ root.T
     for k in range(TICKS):
         want.append(Phi @ want[k] + Gamma @ u[k] + w[k])
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-10 * np.abs(want).max())

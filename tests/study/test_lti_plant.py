@@ -45,7 +45,7 @@ def study(lti=PLANT, **asked):
     return {"name": "own", "lti": lti, "observers": ["kf"]} | asked
 
 
-def moved(asked):
+def simulate(asked):
     """The states and inputs of a run."""
     d = pcbench.simulate(asked, ["kf"])
     return d[["x1", "x2", "x3"]].to_numpy(), d[["u1", "u2"]].to_numpy()
@@ -79,7 +79,7 @@ DIFFERS = {  # what the study says besides, k and c of the plant, and what of it
 def test_the_plant_moves_by_its_own_numbers_and_observers_keep_the_models(what):
     asked, plant, (k, c), own = DIFFERS[what]
     asked = study(PLANT | ({"plant": plant} if plant else {}), **asked)
-    x, u = moved(asked)
+    x, u = simulate(asked)
     A, B, _ = matrices(k, c)
     want = loop(own.get("A", A), own.get("B", B), u)
     np.testing.assert_allclose(x, want, rtol=0, atol=1e-12 * np.abs(want).max())

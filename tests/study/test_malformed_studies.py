@@ -182,7 +182,7 @@ def test_what_is_quoted_is_short_and_of_one_line():
     assert first_sentence(ValueError("Failed to converge. Try\nanother one.")) == "Failed to converge"
 
 
-def planned(text, tmp_path):
+def plan_study(text, tmp_path):
     (tmp_path / "study.toml").write_text(text)
     with config.float64():
         return planning.plan(parse.load(str(tmp_path / "study.toml")))
@@ -191,7 +191,7 @@ def planned(text, tmp_path):
 def test_the_limits_leave_room_for_what_is_published(tmp_path):
     for name in SCENARIOS:
         parse.load(name)
-    (cell,) = planned(lti(duration="100.0", sampling_period="0.1"), tmp_path)
+    (cell,) = plan_study(lti(duration="100.0", sampling_period="0.1"), tmp_path)
     assert cell.cell.times.ticks == 100_000 < times.TICKS
 
 
@@ -199,7 +199,7 @@ def test_a_riccati_equation_without_noise_is_refused_in_one_sentence(tmp_path):
     """Q = B B' = 0 was divided by."""
     text = lti(B="[[0.0], [0.0]]", A="[[0.0, 1.0], [-4.0, 0.0]]", observers="['kfbo']")
     with pytest.raises(UserError, match=r"kfbo in lti: .*expected"):
-        planned(text, tmp_path)
+        plan_study(text, tmp_path)
 
 
 def test_the_noise_over_a_tick_in_which_a_fast_mode_dies():
@@ -211,5 +211,5 @@ def test_the_noise_over_a_tick_in_which_a_fast_mode_dies():
 
 
 def test_a_plant_with_a_fast_mode_is_planned(tmp_path):
-    (cell,) = planned(lti(A="[[-1e9, 1.0], [-4.0, -0.5]]", observers="['kf']\n[options.kf]\nq = 0.1"), tmp_path)
+    (cell,) = plan_study(lti(A="[[-1e9, 1.0], [-4.0, -0.5]]", observers="['kf']\n[options.kf]\nq = 0.1"), tmp_path)
     assert cell.certificates["kf"].margin > 0

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from documents import PAGES, fenced
+from documents import PAGES, code_blocks
 from honest import STUDY
 
 import pcbench
@@ -97,7 +97,7 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
 @pytest.mark.nightly
 def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
     section = PAGES["measurement_error_findings.md"].split("## Bursts of lost samples")[1]
-    (text,) = (b.text for b in fenced("measurement_errors.md") if b.title == "bursts.toml")
+    (text,) = (b.text for b in code_blocks("measurement_errors.md") if b.title == "bursts.toml")
     study = tomllib.loads(text) | {"seeds": 256}
     stats = pcbench.run(study).stats
     mean = stats[stats.signal == "position"].set_index(["observer", "metric", "mean_burst_length"])["mean"]

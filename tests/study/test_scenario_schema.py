@@ -19,20 +19,20 @@ CART = {"plant": "cart", "x0": [2.0, -1.0], "sampling_period": 0.1, "delay": 0.0
 WHITE, CIRCLE = {"base": "cart/white"}, {"Kp": [1.0, 2.0], "Kd": [1.0, 2.0], "limit": [1.0, 2.0], "path": "circl"}
 
 
-def made(table, **study):
+def make_scenario(table, **study):
     found = parse.parse({"name": "mine", "scenario": table} | study, "mine.toml")
     return parse.scenarios_of(found)[found.scenarios[0]]
 
 
 def test_what_is_left_out_is_filled_in():
-    s = made(CART)
+    s = make_scenario(CART)
     assert (s.name, s.plant, s.dt, s.duration, s.observers) == ("mine", "cart", 1e-3, 10.0, ("kf", "model-only"))
     assert (s.truth.x0, s.belief.xhat0, s.belief.prior_std) == ((2.0, -1.0), (0.0, 0.0), (2.0, 1.0))
     assert s.scoring.settle_band == pytest.approx((0.1, 0.05))
     assert (s.scoring.steady_start, s.scoring.divergence_threshold, s.loop.input) == (3.0, 1e6, "sine")
     assert (s.sampling.sampling_period, s.sampling.delay, s.sampling.noise_std) == ((0.1,), (0.05,), (0.2,))
     unknown = CART | {"plant": "helicopter", "x0": [0.5, 0.4, 0.2, 0.0]}
-    s = made(unknown | {"unknown_std": [2.0, 4.0], "input": "step"})
+    s = make_scenario(unknown | {"unknown_std": [2.0, 4.0], "input": "step"})
     assert (s.observers, s.belief.unknown_std) == (("ekf",), (2.0, 4.0))
     assert s.scoring.settle_band == pytest.approx((0.025, 0.02, 0.01, 0.05, 0.1, 0.2)), "1 where x(0) is believed"
     assert s.sampling.delay == (0.05, 0.05)
@@ -41,17 +41,19 @@ def test_what_is_left_out_is_filled_in():
 def test_a_base_has_only_what_is_said_changed():
     base, s = (
         SCENARIOS["cart/variable"],
-        made({"base": "cart/variable", "noise-std": 0.1, "x0": [1, 2], "divergence_threshold": 50}),
+        make_scenario({"base": "cart/variable", "noise-std": 0.1, "x0": [1, 2], "divergence_threshold": 50}),
     )
     different = {key for key, value in s.flat().items() if value != base.value(key)}
     assert different == {"name", "summary", "source", "noise_std", "x0", "divergence_threshold"}
     assert (s.sampling.noise_std, s.truth.x0, s.scoring.divergence_threshold) == ((0.1,), (1.0, 2.0), 50.0)
     assert s.summary == "cart/variable, changed"
-    assert made({"base": "helicopter/constant", "input": "step"}).loop.controller == "", "an input opens the loop"
+    assert make_scenario({"base": "helicopter/constant", "input": "step"}).loop.controller == "", (
+        "an input opens the loop"
+    )
 
 
 def test_its_name_is_the_studys_unless_it_has_one():
-    assert made(WHITE | {"name": "other"}).name == "other"
+    assert make_scenario(WHITE | {"name": "other"}).name == "other"
     assert (
         parse.parse({"name": "mine", "scenario": WHITE, "scenarios": ["cart/white", "mine"]}, "").scenarios[1] == "mine"
     )
@@ -130,7 +132,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
 )
 def test_what_does_not_fit_is_one_sentence(table, sentence):
     with pytest.raises(UserError, match=sentence):
-        made(table)
+        make_scenario(table)
 
 
 def test_its_fields_can_be_set_and_are_axes_like_any_others():
@@ -168,26 +170,26 @@ def test_a_result_says_its_scenario_and_goes_on_with_it(tmp_path):
 
 def test_inputs_are_waves_rows_or_a_file_and_are_shown_as_they_were_written(tmp_path):
     wave = {"signal": "sine", "amplitude": 2.0, "frequency": 0.5}
-    assert values(made(CART | {"input": wave}).loop.input[0], np.array([0.5])) == pytest.approx(2.0)
+    assert values(make_scenario(CART | {"input": wave}).loop.input[0], np.array([0.5])) == pytest.approx(2.0)
     rows = [[0.0, 1.0], [2.5, -1.0]]
     (tmp_path / "u.csv").write_text("t,u1\n0,1\n2.5,-1\n")
     lines = [f"{key} = {value!r}" for key, value in (CART | {"input": "u.csv"}).items()]
     (tmp_path / "s.toml").write_text("\n".join(["[scenario]", *lines]))
     read_back = parse.scenario_of(str(tmp_path / "s.toml"))
-    assert read_back.loop.input == made(CART | {"input": rows}).loop.input
+    assert read_back.loop.input == make_scenario(CART | {"input": rows}).loop.input
     for given in (wave, rows, [wave]):
-        s = made(CART | {"input": given})
+        s = make_scenario(CART | {"input": given})
         again = tomllib.loads(scenario_template.as_study(s))["scenario"]
-        assert made(again).loop.input == s.loop.input, given
+        assert make_scenario(again).loop.input == s.loop.input, given
     with pytest.raises(UserError, match=r"scenario.input.signal: 'sin' is no shape of a signal; did you mean 'sine'"):
-        made(CART | {"input": {"signal": "sin"}})
+        make_scenario(CART | {"input": {"signal": "sin"}})
     pushed = {"base": "arm/sine", "unknown_input": wave}
-    assert made(pushed).truth.unknown_input[0].amplitude == 2.0
+    assert make_scenario(pushed).truth.unknown_input[0].amplitude == 2.0
 
 
 def test_a_loop_for_any_plant_has_its_law_and_its_network_checked():
     law = {"controller": "lqr", "control": {"Q1": 1.0, "Q2": 1.0}}
-    s = made(CART | law | {"command_loss": 0.1, "actuator_delay": 0.02})
+    s = make_scenario(CART | law | {"command_loss": 0.1, "actuator_delay": 0.02})
     assert (s.loop.command_loss, s.loop.actuator_delay, s.loop.input) == (0.1, 0.02, "")
     wrong = {
         "scenario.control.Q1: got a flat list of 3": CART | law | {"control": {"Q1": [1.0] * 3, "Q2": 1.0}},
@@ -196,7 +198,7 @@ def test_a_loop_for_any_plant_has_its_law_and_its_network_checked():
     }
     for sentence, table in wrong.items():
         with pytest.raises(UserError, match=sentence):
-            made(table)
+            make_scenario(table)
 
 
 @pytest.mark.parametrize("name", ["cart/white", "ncs-reactor/round-robin"])

@@ -76,7 +76,7 @@ addEventListener("load", () => setTimeout(() => parent.postMessage(JSON.stringif
 """.replace("NEAR", str(NEAR))
 
 
-def looked_at(page, folder, width, paper=False):
+def inspect_page(page, folder, width, paper=False):
     """What is wrong with a page `width` pixels wide, or as it is printed: how many pictures, complaints, console messages."""
     text = POLICY.sub("", page.read_text())
     text = text.replace("@media print", "@media all") if paper else text
@@ -154,6 +154,6 @@ if __name__ == "__main__":  # python tests/support/browser.py report.html
     for name in sys.argv[1:]:
         for width, paper in ((390, False), (1024, False), (1400, False), (718, True)):
             with tempfile.TemporaryDirectory() as folder:
-                told = looked_at(Path(name).absolute(), Path(folder), width, paper)
+                told = inspect_page(Path(name).absolute(), Path(folder), width, paper)
             print(name, f"{width} px", "as printed" if paper else "", f"{told['pictures']} pictures")
             print("\n".join(f"    {line}" for line in [*told["complaints"], *told["console"]][:40]))

@@ -49,7 +49,7 @@ def study(plant, xhat0=None):
 
 
 @cache
-def recorded(plant, perfect=False):
+def record_cells(plant, perfect=False):
     """Every cell, planned and recorded; one program serves them all."""
     with config.float64():
         cells = planning.plan(study(plant, START[plant] if perfect else None))

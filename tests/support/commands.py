@@ -59,10 +59,10 @@ def server() -> subprocess.Popen:
 
 def call(*words, cwd=None) -> subprocess.CompletedProcess:
     """Run `pcbench WORDS...` and return what it left, as subprocess.run would."""
-    return started("pcbench", *words, cwd=cwd)
+    return start("pcbench", *words, cwd=cwd)
 
 
-def started(*words, cwd=None) -> subprocess.CompletedProcess:
+def start(*words, cwd=None) -> subprocess.CompletedProcess:
     """Run `pcbench WORDS...`, or `python WORDS...` where the first word is a file, likewise."""
     process, given = server(), [str(word) for word in words]
     with tempfile.TemporaryDirectory() as folder:

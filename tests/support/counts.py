@@ -23,7 +23,7 @@ class Counts(NamedTuple):
     anys: float  # per 1,000 lines
 
 
-def counted(folder: Path) -> Counts:
+def count_files(folder: Path) -> Counts:
     """Return the counts of all Python files below a folder."""
     texts = [path.read_text(encoding="utf-8") for path in sorted(folder.rglob("*.py"))]
     lines = sum(len(text.splitlines()) for text in texts)
@@ -35,11 +35,11 @@ def counted(folder: Path) -> Counts:
 
 def table() -> str:
     """Return the table as CONTRIBUTING.md has it."""
-    rows = {name: counted(ROOT / name) for name in ("pcbench", "tests")}
+    rows = {name: count_files(ROOT / name) for name in ("pcbench", "tests")}
     return HEAD + "".join(f"| `{name}` | {c.lines:,} | {c.files:,} | {c.anys} |\n" for name, c in rows.items())
 
 
-def written(text: str) -> dict[str, Counts]:
+def stated_counts(text: str) -> dict[str, Counts]:
     """Return the counts that a page states."""
 
     def number(digits: str) -> int:

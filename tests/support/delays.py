@@ -15,7 +15,7 @@ WIDE = {
 }
 
 
-def judged(runs, **changes):
+def score(runs, **changes):
     """By observer: rms error of the position [m], mean and rms of the delay's [s], its mean square over what is believed."""
     study = {
         "name": "judged",

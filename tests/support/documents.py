@@ -28,14 +28,14 @@ class Block(NamedTuple):
     text: str
 
 
-def fenced(name):
+def code_blocks(name):
     """The blocks of a page in their order."""
     return [Block(*found.group("reason", "language", "title", "text")) for found in BLOCK.finditer(RUN[name])]
 
 
 def blocks(language, *names):
     """The blocks of a language, of the pages of these names, or of all and the README."""
-    return [b.text for name in names or TEXTS if name in RUN for b in fenced(name) if b.language == language]
+    return [b.text for name in names or TEXTS if name in RUN for b in code_blocks(name) if b.language == language]
 
 
 def tables(text, head):
@@ -61,10 +61,12 @@ def prose(text):
 def lines(text):
     """The command lines of a block of shell, as one string each, without the remarks beside them."""
     joined = re.sub(r"\\\n\s+", "", text)
-    return [line for each in joined.splitlines() if (line := re.sub(r"(^|\s+)#.*", "", each))]
+    return [line for raw in joined.splitlines() if (line := re.sub(r"(^|\s+)#.*", "", raw))]
 
 
 def commands(name):
     """The command lines of pcbench that a page shows."""
-    shown = [block.text for block in fenced(name) if block.language == "sh" and not block.title] if name in RUN else []
+    shown = (
+        [block.text for block in code_blocks(name) if block.language == "sh" and not block.title] if name in RUN else []
+    )
     return [line for text in shown for line in lines(text) if line.startswith("pcbench ")]

@@ -27,7 +27,7 @@ def roomy(*given):
     return random_times.pad_clock_params(TIMES(*given), ROOM + 1)
 
 
-def realised(clocks, ticks, seed, root=0, times=roomy):
+def draw_samples(clocks, ticks, seed, root=0, times=roomy):
     """`random_times.draw_samples`, compiled once for each number of clocks and channels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(random_times, "clock_params", times)
@@ -184,7 +184,7 @@ def youngest(clocks):
     return min(shortest(c) - 2 * c.jitter if c.delay is None else c.delay for c in clocks)
 
 
-def misjudged(data, clocks):
+def delay_errors(data, clocks):
     """A delay error that leaves every age at 0 or more."""
     least = max(youngest(clocks) - clocks[0].stamp.max_errors(LONGEST)[1], 0)
     return data.draw(st.sampled_from([0, 0, -least, 1, 25]))

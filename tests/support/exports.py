@@ -36,7 +36,7 @@ def of(name, wild=False):
     return files.export_observer(dict(WILD) if wild else HOMES.get(name, "cart/white"), name)
 
 
-def ran(found, single=False, arguments=()):
+def program_output(found, single=False, arguments=()):
     """What the compiled program prints; a test is skipped where nothing compiles."""
     printed = files.run_compiled(found, single, arguments)
     if printed is None:
@@ -53,4 +53,6 @@ def off(found, printed):
 
 def estimates(found, single=False):
     """What the program estimates, [N+1, s]."""
-    return np.array([[float(x) for x in row.split()] for row in ran(found, single, ("estimates",)).splitlines()])
+    return np.array(
+        [[float(x) for x in row.split()] for row in program_output(found, single, ("estimates",)).splitlines()]
+    )

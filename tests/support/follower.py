@@ -23,7 +23,7 @@ def design(context, options):
     return pcbench.Design(Gains(Phi, Gamma, options.L), pcbench.no_certificate("for tests"))
 
 
-def followed(gains, memory, now, far):
+def correct(gains, memory, now, far):
     """One tick; `far` says how the distance from the sample is weighed."""
     xhat, held, on = memory
     return gains.Phi @ xhat + gains.Gamma @ now.u + gains.L * on * far(held - xhat), held, on
@@ -33,8 +33,8 @@ follow = pcbench.Observer(
     init=lambda gains, xhat0: (xhat0, jnp.zeros(1), jnp.zeros(())),
     snapshot=lambda gains, memory, now: jnp.zeros(0),
     jump=lambda gains, memory, now, arrival: (memory[0], arrival.value, jnp.ones(())),
-    flow=lambda gains, memory, now: followed(gains, memory, now, lambda e: e),
+    flow=lambda gains, memory, now: correct(gains, memory, now, lambda e: e),
     estimate=lambda gains, memory: memory[0],
 )
 
-follow_by_steps = follow._replace(flow=lambda gains, memory, now: followed(gains, memory, now, jnp.sign))
+follow_by_steps = follow._replace(flow=lambda gains, memory, now: correct(gains, memory, now, jnp.sign))

@@ -139,7 +139,7 @@ HOW = ["likely"] * 6 + ["number"] * 2 + ["value", "none", "text", "list", "more"
 
 
 @st.composite
-def changed(draw, studies):
+def mutants(draw, studies):
     """A valid study with one to three places changed: another value, none, another type, or one more key."""
     study = deepcopy(draw(st.sampled_from(studies)))
     for _ in range(draw(st.integers(1, 3))):

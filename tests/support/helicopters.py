@@ -26,7 +26,7 @@ OBSERVERS = {
 }
 
 
-def planned(observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any) -> Plan:
+def plan_run(observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any) -> Plan:
     """Return a scenario with its fields changed, cut to so many seconds."""
     s = SCENARIOS["helicopter/" + name].with_fields(duration=seconds, steady_start=seconds / 2)
     s = s.with_fields(
@@ -51,7 +51,7 @@ def estimate(got: trajectory.Recording) -> np.ndarray:
     return next(iter(got.estimates.values()))
 
 
-def expected(p: Plan, observer: Any = None, seed: int = 0) -> reference.Trace:
+def reference_run(p: Plan, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
     s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
     delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_sine, s.truth.parameter_drift
@@ -81,6 +81,6 @@ def of(label: str, s: Any) -> Any:
 
 def gap(p: Plan, observer: Any = None) -> float:
     """Return the largest difference between a run and the reference: states, estimates, and inputs."""
-    got, want = record(p), expected(p, observer)
+    got, want = record(p), reference_run(p, observer)
     pairs = ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u))
     return max(float(np.abs(a - b).max()) for a, b in pairs)

@@ -36,7 +36,7 @@ def rows(folder, measured, inputs=None, kind="csv"):
     return folder
 
 
-def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
+def write_log(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
     """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
     for name, table in tables.as_tables(batch, channels, inputs, truth).items():
         single_table.write_table(folder / f"{name}{kind}", table)

@@ -29,14 +29,14 @@ def design(context, options):
     return Design(gains, Certificate("none: for tests", 1.0, "none", "none"))
 
 
-def corrected(gains, memory, arrival):
+def correct(gains, memory, arrival):
     return memory + gains.L @ jnp.where(arrival.mask, arrival.value - arrival.snapshot, 0.0)
 
 
 nudge = pcbench.Observer(
     init=lambda gains, xhat0: xhat0,
     snapshot=lambda gains, memory, now: gains.C @ memory,
-    jump=lambda gains, memory, now, arrival: corrected(gains, memory, arrival),
+    jump=lambda gains, memory, now, arrival: correct(gains, memory, arrival),
     flow=lambda gains, memory, now: gains.Phi @ memory + gains.Gamma @ now.u,
     estimate=lambda gains, memory: memory,
 )

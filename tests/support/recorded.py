@@ -38,7 +38,7 @@ def events(run):
     return sorted(every, key=lambda row: row[1])
 
 
-def told(folder, file, topics=TOPICS, **more):
+def write_toml(folder, file, topics=TOPICS, **more):
     """Write a TOML beside a file that says: y1 is a field of the first topic, u1 of the second."""
     channel = {"topic": topics[0], "field": "point.x", "unit": "rad"} | more
     put_in = {"topic": topics[1]} | {key: channel[key] for key in ("field", "unit")}
@@ -68,7 +68,7 @@ def bag(folder, run, ros, frame_id=""):
             header = Header(stamp=Time(sec=ns(stamp) // NS, nanosec=ns(stamp) % NS), frame_id=frame_id, **more)
             message = Message(header=header, point=Point(x=float(x), y=0.0, z=0.0))
             file.write(there[topic], ns(received), write(message, POINT))
-    return told(folder, name)
+    return write_toml(folder, name)
 
 
 DEFINITION = """std_msgs/Header header
@@ -102,7 +102,7 @@ def mcap_of_ros2(folder, run, frame_id=""):
             point = {"x": float(x), "y": 0.0, "z": 0.0}
             writer.write_message(topic, schema, {"header": header, "point": point}, log_time=ns(received))
         writer.finish()
-    return told(folder, "run.mcap")
+    return write_toml(folder, "run.mcap")
 
 
 def mcap_of_json(folder, run, frame_id="", chunks=True):
@@ -119,7 +119,7 @@ def mcap_of_json(folder, run, frame_id="", chunks=True):
             text = json.dumps({"header": header, "point": {"x": float(x)}}).encode()
             writer.add_message(there[topic], ns(received), text, ns(received))
         writer.finish()
-    return told(folder, "run.mcap")
+    return write_toml(folder, "run.mcap")
 
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -141,7 +141,7 @@ def ulog(folder, run):
         data = struct.pack("<HQQd", 0, us(received), us(stamp), x)
         parts.append(record("D", data if topic == TOPICS[0] else struct.pack("<HQd", 1, us(stamp), x)))
     (folder / "run.ulg").write_bytes(b"".join(parts))
-    return told(folder, "run.ulg", ("angle", "motor"), field="x")
+    return write_toml(folder, "run.ulg", ("angle", "motor"), field="x")
 
 
 def matlab(folder, run):
@@ -150,7 +150,7 @@ def matlab(folder, run):
 
     camera = {"t": run.sampled, "came": run.arrived, "x": run.value}
     savemat(folder / "run.mat", {"camera": camera, "motor": {"t": run.t, "x": run.u}})
-    return told(folder, "run.mat", ("camera", "motor"), field="x", arrived="came")
+    return write_toml(folder, "run.mat", ("camera", "motor"), field="x", arrived="came")
 
 
 FORMATS = {

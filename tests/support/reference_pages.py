@@ -170,7 +170,7 @@ def command_parts() -> Iterator[str]:
 def parameter(p: inspect.Parameter) -> tuple[str, str]:
     """How an argument of a command is called (of an option nothing), and the line of an argument or an option."""
     kind, info = get_args(p.annotation)[:2]
-    inner = next((each for each in get_args(kind) if each is not NoneType), kind)
+    inner = next((arg for arg in get_args(kind) if arg is not NoneType), kind)
     choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
     required = p.default is p.empty
     facts = ["required"] if required else [f"default {words(p.default)}"] if p.default not in (*EMPTY, False) else []

@@ -17,7 +17,7 @@ def quantiles(values):
     )
 
 
-def pooled(squares):
+def pool(squares):
     """The root of the mean of squares [n] with its uncertainty."""
     return columns(root(positive(moments(squares[None]))))[0]
 

@@ -22,7 +22,7 @@ def _check(value, path):
             _check(field, f"{path}.{name}")
 
 
-def checked(function):
+def check_types(function):
     """Return a function that checks its arguments and their fields, as the import hook's `typechecker`."""
     typed = beartype(conf=CONF)(function)
 

@@ -20,7 +20,7 @@ def tables(out):
     return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*.parquet"))}
 
 
-def sealed_again(out, **said):
+def reseal(out, **said):
     """Let a folder say of itself what `said` says, with the digests of its tables as they are: as another release might."""
     path = out / "provenance.json"
     about = json.loads(path.read_text()) | said

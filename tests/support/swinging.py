@@ -35,11 +35,11 @@ def rate(z, u):
     return np.array([z[1], -z[2] * np.sin(z[0]) - 0.4 * z[1] * (1 + z[1] ** 2) + u[0], 0 * z[2]])
 
 
-def seen(z):
+def output(z):
     return np.array([np.sin(z[0]) + 0.3 * z[1], z[1] + 0.2 * z[0] ** 2])
 
 
-def told(**changes):
+def design_context(**changes):
     """What a designer is told."""
     known = DesignContext(
         "swinging", LINEAR, H, TICKS, (7, 7), (5, 5), tuple(np.sqrt(R)), P0, 0.0, oosm_lag=3, flight=4, latest=20,
@@ -52,7 +52,7 @@ def told(**changes):
 def model():
     Q = np.diag([*np.square(PROCESS), SIZE**2 * H])
     none = np.full(2, np.inf)
-    return reference.Model(rate, seen, H, Q, R, np.append(-none, RANGE[0]), np.append(none, RANGE[1]))
+    return reference.Model(rate, output, H, Q, R, np.append(-none, RANGE[0]), np.append(none, RANGE[1]))
 
 
 def inputs():
@@ -67,7 +67,7 @@ def samples():
         arrival = taken + int(rng.integers(0, 19))
         channels = ((0, 1), (0,), (1,))[int(rng.integers(0, 3))]
         values = tuple(
-            seen(np.array([0.5 * np.cos(taken), 0.3, 0]))[list(channels)] + 0.2 * rng.normal(size=len(channels))
+            output(np.array([0.5 * np.cos(taken), 0.3, 0]))[list(channels)] + 0.2 * rng.normal(size=len(channels))
         )
         if arrival <= TICKS and rng.random() > 0.1:
             out.append(reference.Sample(arrival, taken, channels, values))
@@ -85,9 +85,9 @@ def traffic():
     return found
 
 
-def found(name, *, known=None, **options):
+def run_observer(name, *, known=None, **options):
     """xhat [N+1, 3], P [N+1, 3, 3], squares [N+1, 2] of an observer."""
-    return driven.whole(name, told(**(known or {})), options, traffic(), inputs(), START)
+    return driven.whole(name, design_context(**(known or {})), options, traffic(), inputs(), START)
 
 
 def prior():

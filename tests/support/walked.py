@@ -7,8 +7,8 @@ import shlex
 import subprocess
 from typing import NamedTuple
 
-from commands import call, started
-from documents import RUN, commands, fenced, lines
+from commands import call, start
+from documents import RUN, code_blocks, commands, lines
 
 from pcbench.study import STUDIES as BUILT_IN
 
@@ -74,30 +74,30 @@ class Step(NamedTuple):
     err: str
 
 
-def walked(name, folder):
+def walk(name, folder):
     """Every step of a page, one after the other: a line of shell, or a block of Python."""
     for page in RUN:  # a page may name a file of another, which its reader then has
-        for block in fenced(page):
+        for block in code_blocks(page):
             if page != name and block.title and f"`{block.title}`" in RUN[name]:
                 (folder / block.title).write_text(block.text)
-    for number, block in enumerate(fenced(name)):
+    for number, block in enumerate(code_blocks(name)):
         path = folder / (block.title or f"block-{number}.py")
         if block.title or block.language == "python":
             path.write_text(block.text)
         if block.reason is None and block.language == "python":
-            yield step(path.name, started(path.name, cwd=folder))
+            yield step(path.name, start(path.name, cwd=folder))
         elif block.reason is None and block.language == "sh":
             for line in lines(block.text):
-                if line not in left_out(name):
+                if line not in shared_runs(name):
                     yield step(line, of_a_shell(line, folder))
 
 
-def left_out(name):
+def shared_runs(name):
     """The runs of a study that EVERY_STUDY has too, the same word for word, and of whose results this page reads nothing."""
-    there = [shortened(shlex.split(line)[1:]) for line in commands(EVERY_STUDY)]
+    there = [shorten(shlex.split(line)[1:]) for line in commands(EVERY_STUDY)]
     found = [shlex.split(line) for line in commands(name) if name != EVERY_STUDY]
     studies = [words for words in found if words[1] == "run" and words[2] in BUILT_IN]
-    once = [w for w in studies if shortened(w[1:]) in there and f"results/{w[2]}" not in RUN[name]]
+    once = [w for w in studies if shorten(w[1:]) in there and f"results/{w[2]}" not in RUN[name]]
     return [shlex.join(words) for words in once]
 
 
@@ -105,7 +105,7 @@ def of_a_shell(line, folder):
     """What a line does, where it is one of pcbench in its short form."""
     words = shlex.split(line)
     if words[0] == "pcbench":
-        return call(*shortened(words[1:]), cwd=folder)
+        return call(*shorten(words[1:]), cwd=folder)
     return subprocess.run(["bash", "-ec", line], cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -113,7 +113,7 @@ def step(what, done):
     return Step(what, done.returncode, done.stdout, done.stderr)
 
 
-def shortened(words):
+def shorten(words):
     """The words of a command that does the same in less time."""
     if words[0] == "tune":
         on_runs = not {"--exact-objective", "--log"} & set(words)

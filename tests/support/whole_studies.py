@@ -4,7 +4,7 @@ import shlex
 
 import pandas as pd
 from documents import commands
-from walked import left_out
+from walked import shared_runs
 
 from pcbench.dataset.result import open_result
 from pcbench.study import STUDIES
@@ -39,13 +39,13 @@ def require_whole(name, folder):
     assert lacking.empty, lacking[["scenario", "observer", "signal", "metric"]].drop_duplicates()
 
 
-def run_by(page):
+def run_studies(page):
     """The studies of these names that a page runs as they are, and the folder of each."""
     found = {}
     for line in commands(page):
         words = shlex.split(line)
         given = dict(zip(words[3::2], words[4::2], strict=False))
         as_it_is = words[1] == "run" and words[2] in STUDIES and set(given) <= {"--seeds", "--out"}
-        if as_it_is and line not in left_out(page):
+        if as_it_is and line not in shared_runs(page):
             found.setdefault(words[2], given.get("--out", f"results/{words[2]}"))
     return found

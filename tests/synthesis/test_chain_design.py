@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chains import DELAYS, OUTPUTS, PLANTS, START, links_of, recorded, slow
+from chains import DELAYS, OUTPUTS, PLANTS, START, links_of, record_cells, slow
 from reference import chain as ref
 
 import pcbench
@@ -24,7 +24,7 @@ from pcbench.synthesis import chain as synthesis
 @pytest.mark.nightly
 def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, label):
     """The map of the functions themselves, column by column, in shift coordinates: all channels known, y - C xbar = 0."""
-    cells, _ = recorded("odd")
+    cells, _ = record_cells("odd")
     p, delays = cells[case], DELAYS[case]
     gains, theta, n, k = jax.tree.map(jnp.asarray, p.problem.gains[label]), max(delays), 4, 50
     with config.float64():

@@ -29,7 +29,7 @@ def test_a_plant_that_no_input_moves_has_no_gain():
         lqr.gain(np.diag([1.5, 0.9]), np.array([[0.0], [1.0]]), np.eye(2), np.eye(1), "t")
 
 
-def told(late):
+def controller_context(late):
     model = Model(P.Phi, P.Gamma, P.C, None, True)
     return ControllerContext(model, 0.01, 100, 0, 0, late, ("angle", "rate", "current"), lambda t: 0 * t + late * 0.01)
 
@@ -45,7 +45,7 @@ LAWS = {
 @pytest.mark.parametrize(("every", "late"), [(1, 0), (1, 7), (4, 0), (4, 3), (4, 4), (4, 9)])
 def test_a_simulated_loop_obeys_the_characteristic_polynomial_of_its_map(name, every, late):
     """Cayley and Hamilton: the reference's states at its decisions, the state known, obey the recursion of its coefficients."""
-    entry, known = CONTROLLERS[name], told(late)
+    entry, known = CONTROLLERS[name], controller_context(late)
     options = entry.options.model_validate(LAWS[name] | {"period": every * 0.01})
     map_ = lqr.monodromy_matrix(TICK, entry.linear(options, known), every, late)
     coefficients = np.poly(map_)

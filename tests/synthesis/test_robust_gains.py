@@ -22,13 +22,13 @@ from pcbench.synthesis.parameter_ranges import Maps
 PLANTS = {"cart": (CART, 200, 200), "odd": (ODD, 300, 100)}  # period and delay in ms
 
 
-def known(name, noise_std=0.3):
+def design_context(name, noise_std=0.3):
     model, te, d = PLANTS[name]
     return context_of(Case(model, te, d, noise_std=noise_std))
 
 
-def designed(name, **options):
-    found = OBSERVERS["pccebo"].design(known(name), OBSERVERS["pccebo"].options(**options))
+def design_gains(name, **options):
+    found = OBSERVERS["pccebo"].design(design_context(name), OBSERVERS["pccebo"].options(**options))
     return np.asarray(found.gains.L), found.certificate
 
 
@@ -56,7 +56,7 @@ def stationary(F, N):
 def test_h2_without_a_rate_is_the_kalman_filter(name):
     model, te, d = PLANTS[name]
     Phi, ahead = expm(model.A * te * 1e-3), expm(model.A * d * 1e-3)
-    L, certificate = designed(name, gain="h2", q=0.05)
+    L, certificate = design_gains(name, gain="h2", q=0.05)
     C, Q, R = model.C, noise_over(model, 0.05, te * 1e-3), 0.09 * np.eye(len(model.C))
     prior = solve_discrete_are(Phi.T, C.T, Q, R)
     K = np.linalg.solve(C @ prior @ C.T + R, C @ prior).T
@@ -75,7 +75,7 @@ def test_a_rate_that_is_asked_for_is_kept_in_whatever_order_intervals_come(name,
     """Errors are multiplied by random maps of the range; the bound of a norm by P has at most its condition as a factor."""
     model, te, _ = PLANTS[name]
     rng, low, high = np.random.default_rng(3), te - 50, te + 80
-    L, certificate = designed(name, gain=gain, decay=0.8, period_range=[low * 1e-3, high * 1e-3])
+    L, certificate = design_gains(name, gain=gain, decay=0.8, period_range=[low * 1e-3, high * 1e-3])
     assert certificate.rate >= 0.8 * (1 - 1e-5)
     assert certificate.numbers["maps"] == high - low + 1
     room = np.sqrt(np.linalg.cond(certificate.numbers["P"]))
@@ -90,7 +90,7 @@ def test_a_rate_that_is_asked_for_is_kept_in_whatever_order_intervals_come(name,
 @pytest.mark.parametrize("name", PLANTS)
 def test_the_energy_gain_is_the_peak_over_frequencies(name):
     model, te, d = PLANTS[name]
-    L, certificate = designed(name, gain="hinf", q=0.05)
+    L, certificate = design_gains(name, gain="hinf", q=0.05)
     Phi, ahead = expm(model.A * te * 1e-3), expm(model.A * d * 1e-3)
     keep, n = np.eye(len(Phi)) - L @ model.C, len(Phi)
     values, vectors = np.linalg.eigh(noise_over(model, 0.05, te * 1e-3))
@@ -106,7 +106,7 @@ def test_the_energy_gain_is_the_peak_over_frequencies(name):
 def test_noise_in_the_estimate_is_the_sum_over_past_samples(name):
     model, te, d = PLANTS[name]
     for options in ({}, {"gain": "riccati"}, {"gain": "h2", "decay": 2.0}):
-        L, certificate = designed(name, **options)
+        L, certificate = design_gains(name, **options)
         F = (np.eye(len(L)) - L @ model.C) @ expm(model.A * te * 1e-3)
         X = stationary(F, 0.09 * L @ L.T)
         ahead = expm(model.A * d * 1e-3)
@@ -115,7 +115,7 @@ def test_noise_in_the_estimate_is_the_sum_over_past_samples(name):
 
 
 def test_faster_decay_costs_noise():
-    noise = [designed("cart", gain="h2", decay=rate)[1].numbers["noise_rms"][0] for rate in (0.5, 1.0, 2.0, 5.0)]
+    noise = [design_gains("cart", gain="h2", decay=rate)[1].numbers["noise_rms"][0] for rate in (0.5, 1.0, 2.0, 5.0)]
     assert noise == sorted(noise)
     assert noise[-1] > 1.5 * noise[0]
 
@@ -124,7 +124,7 @@ TASKS = {"h2": ("h2", 1.0), "hinf": ("hinf", 1.0), "decay": ("decay", 1.0)}
 
 
 def task(name):
-    s = known(name)
+    s = design_context(name)
     maps = parameter_ranges.maps(s, [0.15, 0.25], None, 0.05, "test")
     return robust_lmi.RobustTask(
         maps, s.model.C, np.diag(s.noise_variance), np.eye(len(s.model.A)), np.ones(len(s.model.A))
@@ -203,7 +203,7 @@ def test_scs_is_asked_where_clarabel_has_no_answer(name, monkeypatch, tmp_path):
 
     def design():
         current_gains.at_the_mean.cache_clear()
-        return entry.design(known("cart"), entry.options(**FALLBACKS[name])).certificate
+        return entry.design(design_context("cart"), entry.options(**FALLBACKS[name])).certificate
 
     first = design()
     assert (first.solver, first.fallback) == ("CLARABEL", "")
@@ -240,15 +240,15 @@ def test_a_gain_that_is_good_at_the_mean_may_be_refused_over_a_range():
     """On an oscillator a gain may be stable at one interval and not at another; a common P is refused there."""
     gains, options = OBSERVERS["pccebo"], OBSERVERS["pccebo"].options
     L = np.zeros((3, 2)) + 0.01
-    good = gains.design(known("odd"), options(gain="riccati"))
+    good = gains.design(design_context("odd"), options(gain="riccati"))
     L = np.asarray(good.gains.L).tolist()
-    assert gains.design(known("odd"), options(L=L, period_range=[0.25, 0.35])).certificate.margin > 0
+    assert gains.design(design_context("odd"), options(L=L, period_range=[0.25, 0.35])).certificate.margin > 0
     with pytest.raises(DesignError, match=r"decay at .* over some interval|not certified"):
-        gains.design(known("odd"), options(L=L, period_range=[0.05, 3.0], decay=1.0))
+        gains.design(design_context("odd"), options(L=L, period_range=[0.05, 3.0], decay=1.0))
 
 
 def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
-    s = known("cart")._replace(variant=lambda p: CART._replace(A=np.array([[0.0, 1.0], [0.0, -p["lam"]]])))
+    s = design_context("cart")._replace(variant=lambda p: CART._replace(A=np.array([[0.0, 1.0], [0.0, -p["lam"]]])))
     maps = parameter_ranges.maps(s, [0.1, 0.103], {"lam": [100.0, 150.0]}, 0.0, "test")
     assert len(maps.Phi) == 4 * parameter_ranges.VALUES
     for lam, ms in ((100.0, 100), (150.0, 103), (150.0, 100)):
@@ -265,7 +265,7 @@ def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
 @pytest.mark.ci
 def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
     """Asked for a tenth more, no P is found."""
-    maps = parameter_ranges.maps(known("odd"), [0.1, 0.9], None, 0.05, "test")
+    maps = parameter_ranges.maps(design_context("odd"), [0.1, 0.9], None, 0.05, "test")
     t = robust_lmi.RobustTask(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
     found, proof = robust_lmi.design(t, "decay", None, "test")
     assert proof.rate > 0.5
@@ -279,7 +279,7 @@ def test_a_promise_of_the_papers_gain_is_its_own():
     """(23) at the closed form's P = I: the norm of (I - L C) Phi, as a rate."""
     Phi = expm(CART.A * 0.2)
     L = current_lmi.closed_form(Phi, CART.C)
-    _, certificate = current_gains.find(known("cart"), "lmi", None, 0.002, None, None, "test")
+    _, certificate = current_gains.find(design_context("cart"), "lmi", None, 0.002, None, None, "test")
     size = np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2)
     assert certificate.rate == pytest.approx(-np.log(size) / 0.2, rel=1e-9)
-    assert isinstance(parameter_ranges.maps(known("cart"), None, None, 0.0, "test"), Maps)
+    assert isinstance(parameter_ranges.maps(design_context("cart"), None, None, 0.0, "test"), Maps)

@@ -144,13 +144,13 @@ def test_the_error_moves_as_the_page_says_whatever_f_and_v(model, seed, sliding)
     assert apart(model, got, L1, A22s, injection(got, L1, A22s), rng) < 1e-11
 
 
-def turned(gains):
+def turn(gains):
     return gains[0], -gains[1]
 
 
 MISREADINGS = {
     "L turned": lambda got, L1, A22s: injection(got, -L1, A22s),
-    "Lx turned": lambda got, L1, A22s: turned(injection(got, L1, A22s)),
+    "Lx turned": lambda got, L1, A22s: turn(injection(got, L1, A22s)),
     "A22s turned": lambda got, L1, A22s: injection(got, L1, -A22s),
     "Tp with its rows swapped": lambda got, L1, A22s: injection(got._replace(Tp=got.Tp[::-1]), L1, A22s),
     "Tp transposed": lambda got, L1, A22s: injection(got._replace(Tp=got.Tp.T), L1, A22s),

@@ -189,7 +189,7 @@ def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
         assert said in done.stderr
 
 
-def installed():
+def has_latex():
     """Whether LaTeX with both packages and the journals' classes is there."""
     if not shutil.which("pdflatex") or not shutil.which("kpsewhich"):
         return False
@@ -270,7 +270,7 @@ CLASSES = {
 }
 
 
-def compiled(body, folder, begin):
+def compile_tables(body, folder, begin):
     """What TeX says of a document with these tables, each on pages of its own."""
     body = re.sub(r"(\\end\{table\*?\})", r"\1\\clearpage", body)
     begin += r"\usepackage[T1]{fontenc}\setlength\textheight{690pt}\setlength\topmargin{-60pt}"
@@ -282,14 +282,16 @@ def compiled(body, folder, begin):
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
+@pytest.mark.skipif(not has_latex(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("journal", CLASSES)
 def test_tables_of_every_study_fit_their_journal(made, tmp_path, journal, plain):
     every = [table for study in STUDIES for table in layout.tables(made(study), "steady_rmse")]
     every += layout.tables(made("helicopter"), "steady_rmse", [])
     body = latex.latex(every, plain, journal)
-    log = compiled(body, tmp_path, CLASSES[journal] + MEASURED + ("" if plain else re.sub("% needs ", "", latex.NEEDS)))
+    log = compile_tables(
+        body, tmp_path, CLASSES[journal] + MEASURED + ("" if plain else re.sub("% needs ", "", latex.NEEDS))
+    )
     measured = [(float(a), float(b)) for a, b in re.findall(r"WIDTH ([\d.]+)pt OF ([\d.]+)pt", log)]
     assert len(measured) == body.count(r"\begin{tabular}") > 100
     assert [pair for pair in measured if pair[0] > pair[1]] == []
@@ -302,10 +304,10 @@ def test_tables_of_every_study_fit_their_journal(made, tmp_path, journal, plain)
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
+@pytest.mark.skipif(not has_latex(), reason="there is no LaTeX with booktabs, siunitx, IEEEtran and elsarticle")
 @pytest.mark.parametrize("plain", [False, True])
 def test_latex_takes_it(result, tmp_path, plain):
     odd = [Entry(row(*numbers, diverged=1), mark) for numbers, mark in zip(LATEX, [True, False] * 4, strict=False)]
     every = [*layout.tables(result, "steady_rmse", []), *(alone(a, b) for a, b in pairwise(odd))]
     packages = "" if plain else re.sub("% needs ", "", latex.NEEDS)
-    compiled(latex.latex(every, plain), tmp_path, rf"\documentclass{{article}}{packages}")
+    compile_tables(latex.latex(every, plain), tmp_path, rf"\documentclass{{article}}{packages}")

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pcbench.cli.render.tables import Column, Screen, format_number, left_out
+from pcbench.cli.render.tables import Column, Screen, format_number, omission_note
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.limits.search import settles_sentence
@@ -125,7 +125,7 @@ def _print_cells(view: View, screen: Screen) -> list[str]:
     notes += [HALF] if "exact" not in methods or "runs" in methods else []
     if "exact" not in methods and any(cell.observer.nunique() > 1 for cell in cells):
         notes.append(PAIRED)
-    return notes + ([left_out(list(missing))] if missing else [])
+    return notes + ([omission_note(list(missing))] if missing else [])
 
 
 def _columns(view: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:

@@ -88,7 +88,7 @@ class Screen(Console):
         for part in parts:
             self.print(_table(part, sections, self.width - self._needs(part)))
         if out and named:
-            self.print(left_out(out[::-1]))
+            self.print(omission_note(out[::-1]))
         return out[::-1]
 
     def _parts(self, columns: list[Column]) -> list[list[Column]]:
@@ -121,7 +121,7 @@ class Screen(Console):
         return Measurement.get(self, self.options.update_width(10_000), _table(columns, None)).maximum
 
 
-def left_out(heads: list[str]) -> str:
+def omission_note(heads: list[str]) -> str:
     """Return a sentence that names the columns left out."""
     return f"Left out for lack of space: {', '.join(heads)}."
 
