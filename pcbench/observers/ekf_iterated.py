@@ -30,7 +30,7 @@ class Options(nonlinear_model.Options):
 
 def tick(gains: Gains, now: Now, state: State) -> State:
     """Propagate mean and covariance by one tick, by the Jacobian at the mean."""
-    F = gains.slope(now, state.mean)
+    F = gains.jacobian(now, state.mean)
     return state._replace(mean=clip_parameters(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
 

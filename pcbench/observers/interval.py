@@ -63,7 +63,7 @@ class Gains(NamedTuple):
     D: Float[Leaf, "q m"]
     L: Float[Leaf, "n q"]
     V: Float[Leaf, "n n"]
-    back: Float[Leaf, "n n"]  # V^-1
+    V_inv: Float[Leaf, "n n"]
     start: Float[Leaf, " n"]  # r at tick 0
     vmax: Float[Leaf, " q"]
     noise: Float[Leaf, "ages n"]  # q(s), s = 0 .. N
@@ -108,7 +108,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 def radius(gains: Gains, ball: Ball, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return r at a tick at or after the sample."""
     s = tick - ball.tick
-    propagated_radius = jnp.sum(jnp.abs(gains.back @ after(gains.motion.powers, s, ball.B)), axis=1)
+    propagated_radius = jnp.sum(jnp.abs(gains.V_inv @ after(gains.motion.powers, s, ball.B)), axis=1)
     return propagated_radius + jnp.take(gains.noise, s, axis=0, mode="clip")
 
 
@@ -161,14 +161,14 @@ def design(context: DesignContext, options: Options) -> Design:
     vmax = _bound(options.noise_bound, std, f"{where}: noise_bound", "output")
     initial_bound = options.sigmas * np.sqrt(np.diag(context.P0))
     initial_bound = _bound(options.initial_bound, initial_bound, f"{where}: initial_bound", "state")
-    noise = interval_observer.accumulate_noise(Phi_tick, columns, modes.back, context.ticks)
+    noise = interval_observer.accumulate_noise(Phi_tick, columns, modes.V_inv, context.ticks)
     width = interval_observer.final_width(modes, Phi, model.C, noise[min(period, context.ticks)], vmax)
     gains = Gains(
         motion=prediction.motion_of(model, context),
         C=model.C,
         D=model.feedthrough,
         **modes._asdict(),
-        start=np.abs(modes.back) @ initial_bound,
+        start=np.abs(modes.V_inv) @ initial_bound,
         vmax=vmax,
         noise=noise,
         room=context.room,

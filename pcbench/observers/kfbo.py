@@ -48,7 +48,7 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     lag: Int[Leaf, ""]  # [ticks] d
-    sampled: Float[Leaf, ""]  # 1: the innovation is held; 0: the measurement is held
+    holds_innovation: Float[Leaf, ""]  # 1: the innovation is held; 0: the measurement is held
 
 
 class Memory(NamedTuple):
@@ -89,7 +89,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold the arriving sample, or its innovation."""
-    Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
+    Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.holds_innovation * (gains.C @ memory.z)
     return memory._replace(Y=jnp.where(arrival.mask, Y, memory.Y))
 
 
@@ -147,6 +147,6 @@ def design(context: DesignContext, options: Options) -> Design:
         C=C,
         D=model.feedthrough,
         lag=np.asarray(lag),
-        sampled=np.asarray(float(options.sampled_innovation)),
+        holds_innovation=np.asarray(float(options.sampled_innovation)),
     )
     return Design(gains, certificate)

@@ -109,7 +109,7 @@ def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple
 
     def tick(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         z, F, Q = carry
-        A = gains.slope(now_at(now, k), z)
+        A = gains.jacobian(now_at(now, k), z)
         return gains.motion(now_at(now, k), z), A @ F, A @ Q @ A.T + gains.Q
 
     return lax.fori_loop(since, until, tick, (z, jnp.eye(z.shape[0]), jnp.zeros_like(gains.Q)))

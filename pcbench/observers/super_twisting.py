@@ -43,7 +43,7 @@ REASON = "the observer is nonlinear, and its theorem is for continuous measureme
 class Law(NamedTuple):
     """Parameters of the correction."""
 
-    back: Float[Leaf, "2 2"]  # x of (y, y')
+    O_inv: Float[Leaf, "2 2"]  # x of (y, y')
     k1: Float[Leaf, ""]
     k2: Float[Leaf, ""]
     period: Float[Leaf, ""]  # [s] the mean one
@@ -97,7 +97,7 @@ def update(gains: Gains, sample_now: Now, state: State, sample: Measurement) -> 
     b = jnp.where(sample.mask, nonlinear_model.value_near(gains, sample.value, y) - y, 0.0)[0]
     ticks = sample.tick - state.last_sample
     position, rate = correction(law, b, jnp.where(ticks > 0, ticks * sample_now.dt, law.period))
-    x = state.x + law.back @ jnp.stack([position, rate])
+    x = state.x + law.O_inv @ jnp.stack([position, rate])
     return State(x, sample.tick, jnp.where(sample.mask[0], sample.tick, state.last_sample))
 
 
@@ -143,9 +143,9 @@ def _is_position_and_rate(context: DesignContext) -> bool:
 
 def design(context: DesignContext, options: Options) -> Design:
     """Return the gains of the source for the bound f; there is no certificate."""
-    back = coordinates(context, f"super-twisting in {context.scenario}")
+    O_inv = coordinates(context, f"super-twisting in {context.scenario}")
     law = Law(
-        back=back,
+        O_inv=O_inv,
         k1=np.asarray(1.5 * options.f**0.5),
         k2=np.asarray(1.1 * options.f),
         period=np.asarray(context.period[0] * context.dt),

@@ -229,7 +229,7 @@ def _require_noise_per_sample(cell: Cell, designs: dict[str, Design], with_std: 
                 f"{where}: got the noise of each measurement of {', '.join(with_std)} and {label}, expected an observer "
                 f"that uses it: {supported}; use one of these, or leave std and variance out of the recording."
             )
-        if getattr(design.gains, "mix", None) is not None:
+        if getattr(design.gains, "decorrelation", None) is not None:
             raise UserError(
                 f"{where}: got the noise of each measurement of {', '.join(with_std)}, and noise that {label} assumes to "
                 "be correlated between outputs, expected one of them; leave one out."

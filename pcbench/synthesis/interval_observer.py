@@ -31,7 +31,7 @@ class IntervalGains(NamedTuple):
 
     L: Matrix  # [n, q]
     V: Matrix  # [n, n]
-    back: Matrix  # [n, n] V^-1
+    V_inv: Matrix  # [n, n]
 
 
 def gain(Phi: Matrix, C: Matrix, pole: float, poles: list[float] | None, where: str) -> Matrix:
@@ -67,27 +67,27 @@ def certify(Phi: Matrix, C: Matrix, L: Matrix, where: str) -> tuple[IntervalGain
             f"{where}: got a gain with the poles {np.round(np.sort_complex(l), 6).tolist()} per sample, expected distinct "
             "ones; give another gain or other poles."
         )
-    back = np.asarray(np.linalg.inv(V), float)
-    N = np.abs(back @ M @ V)
+    V_inv = np.asarray(np.linalg.inv(V), float)
+    N = np.abs(V_inv @ M @ V)
     margin = 1 - spectral_radius(N)
     certificate = Certificate(INEQUALITY, margin, "numpy", "computed", {"L": L, "V": V, "N": N})
-    return IntervalGains(L, np.asarray(V, float), back), require_certified(certificate, where)
+    return IntervalGains(L, np.asarray(V, float), V_inv), require_certified(certificate, where)
 
 
 @cached_by_value
-def accumulate_noise(Phi: Matrix, columns: Matrix, back: Matrix, ticks: int) -> Matrix:
+def accumulate_noise(Phi: Matrix, columns: Matrix, V_inv: Matrix, ticks: int) -> Matrix:
     """Return what process noise adds to r over s = 0 .. ticks ticks, [ticks + 1, n]: the sum of |V^-1 Phi^i b| over i < s.
 
     Args:
         Phi: [n, n], over a tick.
         columns: [n, k] b, each multiplied by the bound of its noise per tick.
-        back: [n, n] V^-1.
+        V_inv: [n, n] V^-1.
         ticks: the largest s.
     """
     out, b = np.zeros((ticks + 1, len(Phi))), columns
     with np.errstate(over="ignore", invalid="ignore"):  # overflow of an unstable plant at ages that do not occur
         for s in range(ticks if columns.any() else 0):
-            out[s + 1] = out[s] + np.abs(back @ b).sum(1)
+            out[s + 1] = out[s] + np.abs(V_inv @ b).sum(1)
             b = Phi @ b
     return out
 
@@ -103,5 +103,5 @@ def final_width(gains: IntervalGains, Phi: Matrix, C: Matrix, noise: Matrix, vma
         vmax: [q].
     """
     K = Phi @ gains.L
-    N, rhs = np.abs(gains.back @ (Phi - K @ C) @ gains.V), noise + np.abs(gains.back @ K) @ vmax
+    N, rhs = np.abs(gains.V_inv @ (Phi - K @ C) @ gains.V), noise + np.abs(gains.V_inv @ K) @ vmax
     return np.asarray(2 * np.abs(gains.V) @ np.linalg.solve(np.eye(len(N)) - N, rhs))

@@ -3,9 +3,9 @@
 With z = xhat - xbar (`sample_rate`), the innovation is e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) if channel j has a
 sample r_j at k, else 0:
 
-    z(k) = step z(k - every) + here e(k),   z(k+1) = ... + next e(k)
+    z(k) = transition z(k - stride) + filter_gain e(k),   z(k+1) = ... + predictor_gain e(k)
 
-The recursion starts `every` samples back. Before sample 0, xhat is xhat(0) and u is 0.
+The recursion starts `stride` samples back. Before sample 0, xhat is xhat(0) and u is 0.
 Time index: xhat is the estimate of the present, after the jump.
 """
 
@@ -28,12 +28,12 @@ class Gains(NamedTuple):
     """n states, q outputs."""
 
     model: SampledModel
-    step: Float[Leaf, "n n"]
-    every: Int[Leaf, ""]  # samples
+    transition: Float[Leaf, "n n"]
+    stride: Int[Leaf, ""]  # samples
     ages: Int[Leaf, " q"]  # [samples] assumed
-    here: Float[Leaf, "n q"]  # gain of the estimate at the sample of the innovation
-    next: Float[Leaf, "n q"]  # gain of the estimate one sample later
-    first: Int[Leaf, ""]  # index of the first sample that is used
+    filter_gain: Float[Leaf, "n q"]  # of the estimate at the sample of the innovation
+    predictor_gain: Float[Leaf, "n q"]  # of the estimate one sample later
+    first_sample: Int[Leaf, ""]  # index of the first sample that is used
     room: Room  # for the past samples that are needed
 
 
@@ -61,9 +61,9 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     for j in range(C.shape[0]):
         x_past = at_sample(memory.past_xbar, k - ages[j]) + at_sample(memory.past_z, k - ages[j])
         expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, x_past) + feedthrough[j])
-    is_used = arrival.mask & (k >= gains.first)
+    is_used = arrival.mask & (k >= gains.first_sample)
     e = jnp.where(is_used, arrival.value - jnp.stack(expected), 0.0)
-    return memory._replace(z=memory.z + gains.here @ e, correction=memory.correction + gains.next @ e)
+    return memory._replace(z=memory.z + gains.filter_gain @ e, correction=memory.correction + gains.predictor_gain @ e)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
@@ -71,7 +71,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     run, is_sample = sample_rate.flow(gains.model, memory.run, now)
     k = memory.run.sample
     past = write(memory.past_z, k, memory.z, is_sample)
-    z = gains.step @ at_sample(past, k + 1 - gains.every) + memory.correction
+    z = gains.transition @ at_sample(past, k + 1 - gains.stride) + memory.correction
     return Memory(
         run,
         write(memory.past_xbar, k + 1, run.xbar, is_sample),
@@ -99,11 +99,11 @@ def gains_of(
     zeros = np.zeros_like(K)
     return Gains(
         model=sample_rate.model_of(context),
-        step=transition,
-        every=np.asarray(stride or 1),
+        transition=transition,
+        stride=np.asarray(stride or 1),
         ages=np.array(ages),
-        here=K if stride else zeros,
-        next=zeros if stride else K,
-        first=np.asarray(stride or 0),
+        filter_gain=K if stride else zeros,
+        predictor_gain=zeros if stride else K,
+        first_sample=np.asarray(stride or 0),
         room=np.zeros(max(context.reach, *ages, 1)),
     )

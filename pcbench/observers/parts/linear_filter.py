@@ -38,7 +38,7 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
+    decorrelation: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
     P0: Float[Leaf, "n n"]
     room: Room  # for samples that may arrive after newer ones
     states: Float[Room, " plant"]  # number of the plant's states
@@ -75,7 +75,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 def decorrelated_value(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     """Return a sample's values of the outputs with independent noise [q]."""
-    return sample.value if gains.mix is None else gains.mix @ sample.value
+    return sample.value if gains.decorrelation is None else gains.decorrelation @ sample.value
 
 
 def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Posterior:
@@ -232,7 +232,7 @@ def design(
         model, inputs = linear.with_unknown_input(model), variances
         zeros = np.zeros((len(P0), len(variances)))
         P0 = np.block([[P0, zeros], [zeros.T, np.diag(variances)]])
-    mix, C, R = assumed_noise.decorrelate_outputs(context, options.R, model.C, where)
+    decorrelation, C, R = assumed_noise.decorrelate_outputs(context, options.R, model.C, where)
     motion = prediction.motion_of(model, context, restarts)
     Q = linear.input_noise(model, q, context.dt, options.input_walk * inputs)
     Q[:n, :n] += assumed_noise.process_covariance(context, options.Q, where)
@@ -243,7 +243,7 @@ def design(
         C=C,
         D=model.feedthrough,
         R=R,
-        mix=mix,
+        decorrelation=decorrelation,
         P0=P0,
         room=context.room if room is None else room,
         states=np.zeros(n),

@@ -38,11 +38,11 @@ class Gains(NamedTuple):
 
     motion: Callable[[Now, Array], Array]  # (now, z[N]) -> z[N] one tick later
     sensor: Any  # (now, x[n], p[s]) -> y[q]; None: C x, D u
-    slope: Callable[[Now, Array], Array]  # (now, z[N]) -> F[N, N]
+    jacobian: Callable[[Now, Array], Array]  # (now, z[N]) -> F[N, N]
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
-    mix: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
+    decorrelation: Float[Leaf, "q q"] | None  # map to outputs with independent noise; None: identity
     Q: Float[Leaf, "N N"]  # process noise of a tick
     P0: Float[Leaf, "N N"]
     start: Float[Leaf, " s"]  # p at t = 0
@@ -146,7 +146,7 @@ def predict_joint(gains: Gains, now: Now, before: PyTree, until: Int[Array, ""])
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         (z, P), past = carry, now_at(now, k)
-        F, z_next, Q = gains.slope(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
+        F, z_next, Q = gains.jacobian(past, z[:N]), clip_parameters(gains, gains.motion(past, z[:N])), gains.Q
         if copies:
             F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(copies)), jnp.pad(Q, (0, copies))
             z_next = jnp.concatenate([z_next, z[N:]])
@@ -161,7 +161,7 @@ def linearize_sensor(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tu
 
     def output(z: Array) -> Array:
         y = gains.sensor(sample_now, z[:n], z[n:])
-        return y if gains.mix is None else gains.mix @ y
+        return y if gains.decorrelation is None else gains.decorrelation @ y
 
     return output(z), jax.jacfwd(output)(z)
 
@@ -176,14 +176,16 @@ def linearize_output(gains: Gains, sample_now: Now, z: Float[Array, " N"]) -> tu
 
 def decorrelate(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
     """Return a sample's values of the outputs with independent noise [q]."""
-    return value if gains.mix is None else gains.mix @ value
+    return value if gains.decorrelation is None else gains.decorrelation @ value
 
 
 def value_near(gains: Gains, value: Float[Array, " q"], y: Float[Array, " q"]) -> Float[Array, " q"]:
     """Return `decorrelate` of a sample, or y + residual(value, y) for outputs such as angles, with the prediction y."""
     if gains.residual is None:
         return decorrelate(gains, value)
-    expected = y if gains.mix is None else jax.scipy.linalg.solve_triangular(gains.mix, y, lower=True)
+    expected = (
+        y if gains.decorrelation is None else jax.scipy.linalg.solve_triangular(gains.decorrelation, y, lower=True)
+    )
     return y + decorrelate(gains, gains.residual(value, expected))
 
 
@@ -211,16 +213,16 @@ def design(
     process = assumed_noise.process_covariance(context, options.Q, where)
     Q[:n, :n] = process + linear.input_noise(context.model, q, context.dt)
     Q[n:, n:] = np.diag(options.walk * variances * context.dt)
-    mix, C, R = assumed_noise.decorrelate_outputs(context, options.R, context.model.C, where)
+    decorrelation, C, R = assumed_noise.decorrelate_outputs(context, options.R, context.model.C, where)
     low, high = np.array(context.unknown_range).T.reshape(2, s)
     gains = Gains(
         motion=motion,
-        slope=jacobian,
+        jacobian=jacobian,
         sensor=context.sensor,
         C=C,
         D=context.model.feedthrough * (context.sensor is None),  # a sensor function includes the part of the input
         R=R,
-        mix=mix,
+        decorrelation=decorrelation,
         Q=Q,
         P0=P0,
         start=np.array(context.unknown0, float),

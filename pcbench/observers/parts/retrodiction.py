@@ -35,8 +35,8 @@ SINGULAR = 1e12  # condition number of a discrete model's A from which on it cou
 class RetrodictionParams(NamedTuple):
     """Parameters in addition to those of the Kalman filter."""
 
-    back: Float[Leaf, "2 R n n"]  # e^{-A h i R^level}
-    past: Room  # for posteriors of past samples
+    backward_powers: Float[Leaf, "2 R n n"]  # e^{-A h i R^level}
+    past_samples: Room  # for their posteriors
 
 
 class LastUpdate(NamedTuple):
@@ -72,7 +72,7 @@ Retrodict = Callable[[Gains, Memory, Array], LastUpdate]
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Return the memory at the prior, with the prior as past posteriors."""
-    first, N = linear_filter.prior(gains, xhat0), gains.extra.past.shape[0]
+    first, N = linear_filter.prior(gains, xhat0), gains.extra.past_samples.shape[0]
     n = first.mean.shape[0]
     no_update = LastUpdate(first.P, jnp.zeros(n), jnp.zeros((n, n)))
     past = Past(jnp.tile(first.mean, (N, 1)), jnp.tile(first.P, (N, 1, 1)), jnp.zeros(N, int))
@@ -115,10 +115,10 @@ def backward(
     noise = jnp.zeros(n) if neglect_noise else Q @ u
     vv = Q if neglect_noise else Q - Q @ U @ Q
     xv = Q - P_prior @ U @ Q
-    P_sample = after(gains.extra.back, age, P + vv - xv - xv.T)
-    P_sample = after(gains.extra.back, age, P_sample.T)
-    cross_covariance = after(gains.extra.back, age, (P - xv).T).T
-    z = jnp.concatenate([x, after(gains.extra.back, age, x - noise)])
+    P_sample = after(gains.extra.backward_powers, age, P + vv - xv - xv.T)
+    P_sample = after(gains.extra.backward_powers, age, P_sample.T)
+    cross_covariance = after(gains.extra.backward_powers, age, (P - xv).T).T
+    z = jnp.concatenate([x, after(gains.extra.backward_powers, age, x - noise)])
     joint = jnp.block([[P, cross_covariance], [cross_covariance.T, P_sample]])
     value, stats, R = linear_filter.decorrelated_value(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
     for channel in range(gains.C.shape[0]):
@@ -179,8 +179,8 @@ def design(context: DesignContext, options: linear_filter.Options, name: str, pa
                 f"{name} in {context.scenario}: got a discrete model whose A is singular, expected one that can be run "
                 "backwards: it retrodicts; use kf or kf-cloning."
             )
-        back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
-        reverse = model._replace(A=back)
+        A_backward: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
+        reverse = model._replace(A=A_backward)
         with np.errstate(over="ignore", invalid="ignore"):
             return RetrodictionParams(linear.powers(reverse, context.dt, context.ticks), np.zeros(past))
 

@@ -54,12 +54,12 @@ class Gains(NamedTuple):
     F: Float[Leaf, "n+p n+p"]  # of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 if y is held
     H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], its last rows 0 if y is held
     S: Float[Leaf, "p n+p"]  # s = S [xd; y] = Tp (y - C xd)
-    pick: Float[Leaf, "r p"]  # fhat = pick v
+    reconstruction: Float[Leaf, "r p"]  # fhat = reconstruction v
     nonlinearity: Callable[[Array], Array] | None  # x[n] -> [r] the known part of f, or None
     lag: Int[Leaf, ""]  # [ticks] d
     Phi: Float[Leaf, "n n"]  # one tick
     Gamma: Float[Leaf, "n m"]
-    push: Float[Leaf, "n r"]  # of fhat over a tick with `reconstruct`; else 0
+    Gamma_f: Float[Leaf, "n r"]  # of fhat over a tick with `reconstruct`; else 0
 
 
 class Memory(NamedTuple):
@@ -88,7 +88,7 @@ def observer(inject: Injection) -> Observer:
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
         """Return the memory at xhat(0), as if its output had been measured."""
         n, zeros = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
-        f = jnp.zeros(gains.push.shape[1])
+        f = jnp.zeros(gains.Gamma_f.shape[1])
         return Memory(
             xd=xhat0,
             w=zeros,
@@ -96,7 +96,7 @@ def observer(inject: Injection) -> Observer:
             f=f,
             response=jnp.zeros(n),
             transition=jnp.eye(n),
-            input_integral=jnp.zeros_like(gains.push),
+            input_integral=jnp.zeros_like(gains.Gamma_f),
         )
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -108,7 +108,7 @@ def observer(inject: Injection) -> Observer:
         gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]
     ) -> Float[Array, " r"]:
         v, _ = inject(gains.law, gains.S @ jnp.append(xd, y), w)
-        return gains.pick @ v
+        return gains.reconstruction @ v
 
     def field(gains: Gains, memory: Memory, now: Now, y: Float[Array, " p"]) -> Memory:
         """Return d memory/dt with the measurement y minus D u; entries that `flow` updates exactly have derivative 0."""
@@ -126,7 +126,9 @@ def observer(inject: Injection) -> Observer:
         old_response = jnp.where(is_past_lag, memory.transition @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - old_response
         transition = jnp.where(is_past_lag, memory.transition, gains.Phi @ memory.transition)
-        input_integral = jnp.where(is_past_lag, memory.input_integral, gains.Phi @ memory.input_integral + gains.push)
+        input_integral = jnp.where(
+            is_past_lag, memory.input_integral, gains.Phi @ memory.input_integral + gains.Gamma_f
+        )
         f = reconstruct(gains, xd, w, y)
         return Memory(xd=xd, w=w, y=y, f=f, response=response, transition=transition, input_integral=input_integral)
 
@@ -148,12 +150,12 @@ def gains_of(
     F = np.block([[A - Gx @ C, Gx], [predicts * C @ A, np.zeros((p, p))]])
     H = np.vstack([B, predicts * C @ B])
     S = np.hstack([-parts.Tp @ C, parts.Tp])
-    pick = np.hstack([np.zeros((r, p - r)), np.linalg.inv(parts.E222)])
+    reconstruction = np.hstack([np.zeros((r, p - r)), np.linalg.inv(parts.E222)])
     Phi, Gamma = linear.one_tick(model, context.dt)
-    push = linear.one_tick(model._replace(B=np.asarray(model.E)), context.dt)[1] * options.reconstruct
+    Gamma_f = linear.one_tick(model._replace(B=np.asarray(model.E)), context.dt)[1] * options.reconstruct
     lag = np.asarray(context.delay[0])
-    matrices = {"Lx": Lx, "C": C, "D": model.feedthrough, "F": F, "H": H, "S": S, "pick": pick}
-    return Gains(law=law, **matrices, nonlinearity=model.nonlinearity, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
+    matrices = {"Lx": Lx, "C": C, "D": model.feedthrough, "F": F, "H": H, "S": S, "reconstruction": reconstruction}
+    return Gains(law=law, **matrices, nonlinearity=model.nonlinearity, lag=lag, Phi=Phi, Gamma=Gamma, Gamma_f=Gamma_f)
 
 
 def carries(context: DesignContext, options: Options) -> bool | None:

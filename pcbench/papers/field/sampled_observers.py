@@ -100,5 +100,5 @@ def widths(poles: tuple[float, float]) -> Matrix:
     Phi, b, C = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([[0.125], [0.5]]), np.eye(2)[:1]
     L = interval_observer.gain(Phi, C, max(poles), [*poles], "interval")
     gains, _ = interval_observer.certify(Phi, C, L, "interval")
-    noise = interval_observer.accumulate_noise(Phi, 0.2 * b, gains.back, 1)[1]
+    noise = interval_observer.accumulate_noise(Phi, 0.2 * b, gains.V_inv, 1)[1]
     return interval_observer.final_width(gains, Phi, C, noise, np.array([0.05]))
