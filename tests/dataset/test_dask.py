@@ -1,5 +1,6 @@
 """Dask's workers leave what this process leaves, byte for byte; one that dies costs nothing but time."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -58,6 +59,40 @@ def test_a_killed_worker_costs_nothing_but_time(tmp_path):
     over.set()
     killer.join()
     assert killed
+    pcbench.run(study, out=tmp_path / "undisturbed", block_size=1024)
+    assert tables(out) == tables(tmp_path / "undisturbed")
+
+
+@pytest.mark.nightly
+def test_a_study_whose_scheduler_is_killed_ends_in_a_sentence_and_continues_without_it(tmp_path):
+    study = STUDY | {"scenarios": ["cart/white"], "seeds": 8192, "axes": {"noise_std": [0.1, 0.2, 0.4, 0.8]}}
+    out, address_file, over = tmp_path / "out", tmp_path / "scheduler.json", threading.Event()
+    scheduler = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "2", "--no-nanny"]
+    processes = [subprocess.Popen([*scheduler, "--no-dashboard", "--scheduler-file", str(address_file)])]
+
+    def kill():
+        """Kill the scheduler as soon as some blocks stand."""
+        while len(list(out.rglob("cell-*.parquet"))) < 4 and not over.is_set():
+            time.sleep(0.05)
+        processes[0].kill()
+
+    try:
+        while not address_file.exists() or not address_file.read_text():
+            time.sleep(0.1)
+        address = json.loads(address_file.read_text())["address"]
+        processes.append(subprocess.Popen([*worker, "--scheduler-file", str(address_file)]))
+        killer = threading.Thread(target=kill)
+        killer.start()
+        with pytest.raises(UserError, match="the scheduler has ended"):
+            pcbench.run(study, out=out, dask=address, block_size=1024)
+    finally:
+        over.set()
+        for process in processes:
+            process.kill()
+            process.wait()
+    assert 4 <= len(list(out.rglob("cell-*.parquet"))) < 2 * 4 * 8
+    pcbench.run(study, out=out, block_size=1024)
     pcbench.run(study, out=tmp_path / "undisturbed", block_size=1024)
     assert tables(out) == tables(tmp_path / "undisturbed")
 
