@@ -175,3 +175,12 @@ def test_public_functions_run_in_a_program_of_your_own():
     pcbench.setup()
     result = pcbench.run("cart/white", observers=["kf", "pccebo"], seeds=8, axes={"delay": [0.1, 0.2]})
     assert set(result.stats.observer) == {"kf", "pccebo"}
+
+
+def test_this_release_of_jax_has_a_rule_for_every_step_of_a_plant(caplog):
+    """A primitive without a rule is logged by name, and can double the time of a tick."""
+    plant = {"base": "helicopter/constant", "duration": 0.4, "steady_start": 0.2}
+    pcbench.setup()
+    with caplog.at_level("INFO", logger="pcbench"):
+        pcbench.run({"name": "short", "scenario": plant, "observers": ["high-gain"], "seeds": 2})
+    assert [r.getMessage() for r in caplog.records if r.name.startswith("pcbench")] == []
