@@ -73,7 +73,7 @@ GATE = ("quick", "cart", "unequal-delays", "growth-model", "ncs-two-state", "equ
 def test_no_study_takes_a_fifth_more_than_at_the_last_release():
     *_, last = csv.DictReader((FOLDER / "history.csv").open())
     command = [sys.executable, str(FOLDER / "first_use.py"), *GATE, "--against", last["commit"], "--at-most", "1.2"]
-    done = subprocess.run([*command, "--turns", "2"], capture_output=True, text=True, check=False, cwd=FOLDER.parent)
+    done = subprocess.run([*command, "--turns", "4"], capture_output=True, text=True, check=False, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
