@@ -34,9 +34,9 @@ class Params(NamedTuple):
     every: Any
 
 
-def prepare(options, told):
-    every = told.every(options.period)
-    return Params(np.array([[options.gain, 0.1]]), np.asarray(every * told.dt), np.asarray(every))
+def prepare(options, context):
+    every = context.every(options.period)
+    return Params(np.array([[options.gain, 0.1]]), np.asarray(every * context.dt), np.asarray(every))
 
 
 def start(params, estimate):
@@ -81,7 +81,7 @@ def fit(options, sizes):
 
 
 BROKEN = [
-    ("numbers", {"make": lambda options, told: ("PI", 1.0)}, {}, "got 'PI' in the result of prepare"),
+    ("numbers", {"make": lambda options, context: ("PI", 1.0)}, {}, "got 'PI' in the result of prepare"),
     ("shapes", {"target": lambda params, tick: 0.5}, {}, r"target returned shape \(\)"),
     ("shapes", {"command": lambda *given: given[-1][0]}, {}, "command returned no pair"),
     ("purity", changed(lambda u, *given: u * (1 + 1e-9 * next(COUNT))), {}, "two programs when command was traced twice"),

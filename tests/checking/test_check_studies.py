@@ -118,7 +118,7 @@ from pcbench.controllers import CONTROLLERS, lqr, state_feedback
 from pcbench.observers import OBSERVERS
 watch = OBSERVERS["model-only"]
 law = state_feedback.PLAIN
-prepare = lambda options, told: ()
+prepare = lambda options, context: ()
 common = {"output": lambda p, now, x: x, "states": ["x"], "operating_point": ([0.0], [0.0])}
 fall = pcbench.make_plant(field=lambda p, now, x: now.u - x, **common)
 burst = pcbench.make_plant(field=lambda p, now, x: now.u + 100 * x**2, **common)

@@ -264,9 +264,9 @@ def test_everything_there_is_can_be_told_whole(kind):
         lists.print_in_full(name, said, console)
         text = console.file.getvalue()
         assert max(map(len, text.splitlines())) <= 80
-        for option, told in said.get("options", {}).items():
+        for option, record in said.get("options", {}).items():
             assert f"  {option}: " in text
-            assert told["description"].split()[0] in text
+            assert record["description"].split()[0] in text
 
 
 @pytest.mark.ci

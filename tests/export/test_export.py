@@ -81,17 +81,17 @@ def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
 @pytest.mark.ci
 def test_gains_and_model_are_the_designs_in_json_and_mat():
     found = exports.of("kf", True)
-    told, mat = (
+    exported, mat = (
         json.loads(found.files["gains.json"]),
         loadmat(io.BytesIO(found.files["gains.mat"]), simplify_cells=True),
     )
     gains = pcbench.design(dict(exports.WILD), "kf").gains
-    np.testing.assert_array_equal(told["gains"]["P0"], gains.P0)
+    np.testing.assert_array_equal(exported["gains"]["P0"], gains.P0)
     np.testing.assert_array_equal(mat["gains"]["motion_powers"], gains.motion.powers)
-    np.testing.assert_array_equal(np.squeeze(told["model"]["A"]), mat["model"]["A"])
-    assert told["options"] == OBSERVERS["kf"].options().model_dump(mode="json")
-    assert told["signals"] == ["position", "velocity"]
-    assert told["units"] == ["m", "m/s"]
+    np.testing.assert_array_equal(np.squeeze(exported["model"]["A"]), mat["model"]["A"])
+    assert exported["options"] == OBSERVERS["kf"].options().model_dump(mode="json")
+    assert exported["signals"] == ["position", "velocity"]
+    assert exported["units"] == ["m", "m/s"]
 
 
 @pytest.mark.ci

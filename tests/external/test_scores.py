@@ -100,7 +100,7 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
     np.testing.assert_allclose(held, run.y1, rtol=0, atol=1e-12)
     text = (folder / "draws" / "README.md").read_text()
     assert all(f"| `{name}` |" in text for name in samples.columns)
-    assert not {"position", "x"} & set(samples.columns), "what is true is not told"
+    assert not {"position", "x"} & set(samples.columns), "the true values are not exported"
 
 
 @pytest.mark.ci

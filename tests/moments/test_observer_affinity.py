@@ -30,7 +30,7 @@ def jump(gains, memory, now, arrival):
 def flow(gains, memory, now): return {flow} * 0.95 + 0.05 * now.u
 def estimate(gains, memory): return memory
 def design(context, options): return Design((), Certificate("none", 1.0, "none", "as it is", {{}}))
-OWN = ObserverSpec(Observer(start, note, jump, flow, estimate), Options, design, False, "as told", "any schedule")
+OWN = ObserverSpec(Observer(start, note, jump, flow, estimate), Options, design, False, "as assumed", "any schedule")
 """
 SCHEDULES = 5
 STUDY = {

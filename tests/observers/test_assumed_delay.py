@@ -26,7 +26,7 @@ def traces():
 @pytest.mark.parametrize("observer", ["pccebo", "pco", "pi-pco", "kf"])
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_sample_taken_for_older_puts_the_estimate_ahead_by_the_way_made_meanwhile(traces, observer, wrong):
-    """At constant speed v the position measured at t - d is believed to be of t - d - w: the estimate is v w ahead."""
+    """At constant speed v the position measured at t - d is assumed to be of t - d - w: the estimate is v w ahead."""
     d = traces[wrong].iloc[-1]
     v = d["velocity"]
     assert abs(v) > 1
@@ -39,7 +39,7 @@ def test_a_sample_taken_for_older_puts_the_estimate_ahead_by_the_way_made_meanwh
 
 
 @pytest.mark.ci
-def test_kfbo_follows_its_believed_delay_too(traces):
+def test_kfbo_follows_its_assumed_delay_too(traces):
     ends = [traces[w]["kfbo-aware.position"].iloc[-1] for w in WRONG]
     steps = np.diff(ends)
     v = traces[0.0]["velocity"].iloc[-1]

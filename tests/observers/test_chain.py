@@ -68,21 +68,21 @@ def test_a_sample_of_slip_anywhere_is_caught(what, slip):
     assert np.abs(run.estimates["chain"] - runs[0].estimates["chain"]).max() > 1e-3
 
 
-def reference_chain(label, model, u, r, believed, xhat0):
+def reference_chain(label, model, u, r, assumed_delays, xhat0):
     if label == "equal-delay":
-        d = min(believed)
+        d = min(assumed_delays)
         K = d**d / (d + 1) ** (d + 1) * model.A @ np.linalg.inv(model.C)
         return ref.classic(model, u, r, xhat0, K, [d] * 2)
     if label == "no-delay-plain":
         return ref.classic(model, u, r, xhat0, (model.A - 0.4 * np.eye(2)) @ np.linalg.inv(model.C), [0, 0])
-    links = ref.design(model, believed, pole=0.4)
+    links = ref.design(model, assumed_delays, pole=0.4)
     if label == "chain-riccati":
         A, b, Q, steps = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.0], [1.5]]), np.zeros((2, 2)), 400
         for i in range(steps):  # noise through the input over a sample, by sums at midpoints
             E = scipy.linalg.expm(A * 0.1 * (i + 0.5) / steps)
             Q += 2.0 * E @ b @ b.T @ E.T * 0.1 / steps
-        links = ref.design(model, believed, "riccati", Q=Q, R=1e-12 * np.eye(2))
-    return ref.chain(model, links, u, r, believed, xhat0)
+        links = ref.design(model, assumed_delays, "riccati", Q=Q, R=1e-12 * np.eye(2))
+    return ref.chain(model, links, u, r, assumed_delays, xhat0)
 
 
 @pytest.mark.nightly
@@ -103,8 +103,8 @@ def test_between_samples_they_follow_the_model():
 
 
 @pytest.mark.parametrize("error", [pytest.param(0.1, marks=pytest.mark.nightly), -0.1])
-def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(error):
-    """What arrives is believed a sample older or younger than it is; none is believed taken before 0.
+def test_with_a_wrongly_assumed_delay_they_are_the_references_with_that_delay(error):
+    """What arrives is assumed to be a sample older or younger than it is; none is assumed to be taken before 0.
 
     Between samples they follow the model all the same.
     """
@@ -128,22 +128,22 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
 
 @pytest.mark.ci
 @pytest.mark.parametrize("older", [1, 3])
-def test_what_is_believed_to_be_from_before_0_is_left_out(older):
-    """Samples are believed older than they are: the first ones from before the first. The compiled program of all the tests."""
+def test_samples_assumed_to_be_from_before_0_are_left_out(older):
+    """Samples are assumed to be older than they are, the first ones from before tick 0. All tests compile one program."""
     cells, _ = record_cells("odd")
     p, model, delays = cells[0], PLANTS["odd"], [2, 0, 4]
     N = len(p.problem.inputs) - 1
     sent = [common_times.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
-    believed = [d + older for d in delays]
-    known = planning.context_of(p.cell)._replace(delay=tuple(believed), reach=9, error=older)
+    assumed_delays = [d + older for d in delays]
+    known = planning.context_of(p.cell)._replace(delay=tuple(assumed_delays), reach=9, error=older)
     gains = p.problem.gains | {"chain": chain.design(known, chain.Options(pole=0.4)).gains}
     plan = common_times.pad_slots(common_times.schedule(sent, N, 3, older), 3)
     problem = p.problem._replace(gains=gains, schedule=plan, noise_std=np.zeros(3))
     with config.float64():
         run = jax.tree.map(np.asarray, trajectory.jit_record()(p.layout, problem, np.asarray(0), np.asarray(3)))
     _, y = ref.simulate(model, p.problem.inputs, START["odd"])
-    links = links_of("odd", p._replace(problem=problem), "chain", believed)
-    want = ref.chain(model, links, p.problem.inputs, ref.received(y, delays), believed, 0 * START["odd"])
+    links = links_of("odd", p._replace(problem=problem), "chain", assumed_delays)
+    want = ref.chain(model, links, p.problem.inputs, ref.received(y, delays), assumed_delays, 0 * START["odd"])
     np.testing.assert_array_less(np.abs(run.estimates["chain"] - want).max(0), 1e-11 * np.abs(want).max(0))
 
 

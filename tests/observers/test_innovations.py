@@ -127,7 +127,7 @@ def test_on_the_arm_the_extended_filter_believes_and_expects_what_the_reference_
         there.taken[taken], there.when[arrival], there.value[arrival, 0] = True, taken, y
     got = driven.whole("ekf", known._replace(ticks=N), {}, there, u, np.array(s.belief.xhat0))
     Q = np.diag([0, 0, 0, 0, s.dt])
-    expected = extended.believed(
+    expected = extended.filter_by_arrival(
         arm, s.dt, [*s.belief.xhat0, 0.0], np.eye(5), Q, np.diag([1e-6, 4e-6]), np.eye(2, 5, 1), u,
         {a: [(t, y)] for t, a, y in samples},
     )  # fmt: skip

@@ -211,9 +211,9 @@ def test_alexander_is_the_optimum_when_nothing_is_on_its_way_and_counts_on_what_
     xhat, best = found("kf-alexander", "one step")[0], optimum("one step")
     same(xhat[~busy], best[~busy])
     assert apart(xhat[busy], best[busy])
-    believed, true = (np.trace(found(name, "wild")[1], axis1=1, axis2=2) for name in ("kf-alexander", "kf"))
-    assert (believed <= true + 1e-9).all(), "it believes what it could know if nothing were late or lost"
-    assert (believed < 0.9 * true).any()
+    reported, true = (np.trace(found(name, "wild")[1], axis1=1, axis2=2) for name in ("kf-alexander", "kf"))
+    assert (reported <= true + 1e-9).all(), "its covariance is that of samples that are neither late nor lost"
+    assert (reported < 0.9 * true).any()
 
 
 RETRODICTED = {

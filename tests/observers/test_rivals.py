@@ -147,7 +147,7 @@ def test_the_radius_with_the_delays_as_they_are_is_reported_and_decides_whether_
 
 @pytest.mark.nightly
 def test_losses_and_feedthrough_are_what_the_page_says():
-    """No correction from a channel that brings nothing; D u of the believed time is taken off."""
+    """No correction from a channel that brings nothing; D u of the assumed time is taken off."""
     rng = np.random.default_rng(5)
     A = np.array([[0.9, 0.2, 0.0], [-0.1, 0.8, 0.1], [0.05, 0.0, 0.7]])
     model = ref.Plant(

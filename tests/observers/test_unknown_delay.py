@@ -157,7 +157,7 @@ def test_where_delays_vary_the_mean_is_found_and_who_reads_no_stamps_is_over_con
 
 @pytest.mark.nightly
 def test_a_study_of_it_has_no_bound():
-    """Who is told the delay does better than who looks for it: their bound is not his."""
+    """A filter that knows the delay has a smaller error than a search for it: its bound does not hold for the search."""
     assert "rms_efficiency" not in set(pcbench.run(SCENARIO, seeds=2).stats.metric)
 
 

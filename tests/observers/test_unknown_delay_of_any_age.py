@@ -18,7 +18,7 @@ import pcbench
 from pcbench.errors import UserError
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
-MEAN = KNOWN.delay[0]  # ticks, by which samples are told to be late
+MEAN = KNOWN.delay[0]  # ticks, the stated delay of the samples
 OLDEST = KNOWN.latest - MEAN
 Q = process_noise(MODEL.A, W, H)
 RIGHT = {"mmae-delay": {"delays": [MEAN * H]}, "ekf-delay": {"delay": MEAN * H, "longest": 0.8}}
@@ -76,33 +76,33 @@ VARYING = {"delay_jitter": SPREAD * TICK, "loss": 0.2, "sampling_jitter": TICK, 
 
 @pytest.mark.ci
 def test_in_a_run_with_jitter_and_losses_the_right_mean_delay_makes_it_the_filter_that_knows_every_age():
-    """Whatever constant all ages are believed to be less than they are; so a bank finds the mean of delays that vary."""
+    """A constant error of all ages changes nothing, so a bank finds the mean of delays that vary."""
     R, Q = STUDY["options"]["mmae-delay"]["R"], STUDY["options"]["mmae-delay"]["Q"]
     mean = LATE + SPREAD // 2
     lti = STUDY["lti"] | VARYING
     options = {"mmae-delay": {"R": R, "Q": Q, "delays": [mean * TICK]}, "kf": {"R": R, "Q": Q}}
-    told = pcbench.simulate(STUDY | {"lti": lti, "observers": ["kf"], "options": options}, "kf", seed=3)
+    known = pcbench.simulate(STUDY | {"lti": lti, "observers": ["kf"], "options": options}, "kf", seed=3)
     wrong = {"lti": lti, "observers": ["mmae-delay"], "options": options, "axes": {"assumed_delay_error": [-3 * TICK]}}
     bank = pcbench.simulate(STUDY | wrong, "mmae-delay", seed=3)
-    np.testing.assert_allclose(bank[["mmae-delay.a", "mmae-delay.b"]], told[["kf.a", "kf.b"]], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(bank[["mmae-delay.a", "mmae-delay.b"]], known[["kf.a", "kf.b"]], rtol=0, atol=1e-10)
 
 
 @pytest.mark.ci
 def test_a_delay_that_is_constant_is_looked_for_alike_whatever_all_ages_are_told_wrong_by():
     """Also where the first samples would be of before t = 0, which no stamp says."""
     given = STUDY | {"observers": ["mmae-delay"]}
-    told, wrong = (
+    known, wrong = (
         pcbench.simulate(given | {"axes": {"assumed_delay_error": [error]}}, "mmae-delay", seed=2)[
             ["mmae-delay.a", "mmae-delay.b"]
         ]
         for error in (0.0, 5 * TICK)
     )
-    np.testing.assert_allclose(wrong, told, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wrong, known, rtol=0, atol=1e-12)
 
 
 @pytest.mark.ci
 def test_without_stamps_ages_are_not_read_so_a_sample_is_as_late_as_all():
-    """An age that is told wrong by anything changes nothing; and channels of different delays are refused."""
+    """A wrong age changes nothing, and channels of different delays are refused."""
     some = STUDY["options"]["mmae-delay"] | {"stamps": False}
     lti = STUDY["lti"] | {"timestamp_jitter": TICK}  # of each run's own
     given = STUDY | {"observers": ["mmae-delay"], "options": {"mmae-delay": some}}

@@ -148,7 +148,7 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
         {"sampling_pattern": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [0.07]},
         {"sampling_pattern": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [-0.07]},
     ],
-    ids=["uniform", "disorder", "believed older", "believed younger"],
+    ids=["uniform", "disorder", "assumed older", "assumed younger"],
 )
 @pytest.mark.nightly
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):

@@ -1,4 +1,4 @@
-"""What designers are told of a cell, and where there is a bound: for the true linear model, with all the noise there is."""
+"""The context of a design, and where there is a bound: for the true linear model, with all the noise there is."""
 
 import numpy as np
 import pytest

@@ -17,9 +17,9 @@ MEANS = {LATE: {}, 0.24: VARYING}
 
 
 @cache
-def traced(mean, told):
-    """A run from the true start without noise, of samples so late in the mean; `told`: what is believed of that."""
-    options = {"mmae-delay": {"delays": [told]}, "ekf-delay": {"delay": told, "longest": 0.6}, "kf": {}}
+def traced(mean, assumed):
+    """A run from the true start without noise, of samples so late in the mean; `assumed`: their assumed mean delay."""
+    options = {"mmae-delay": {"delays": [assumed]}, "ekf-delay": {"delay": assumed, "longest": 0.6}, "kf": {}}
     study = {
         "name": "perfect", "observers": list(options), "options": options,
         "scenario": {"base": "cart/unknown-delay", "steady_start": 1.0} | START | MEANS[mean],
@@ -27,9 +27,9 @@ def traced(mean, told):
     return pcbench.simulate(study, list(options), seed=3)
 
 
-def errors(mean, told, name):
+def errors(mean, assumed, name):
     """The largest error of each signal over the signal's largest value."""
-    signals, trace = ["position", "velocity", "delay"][: 2 if name == "kf" else 3], traced(mean, told)
+    signals, trace = ["position", "velocity", "delay"][: 2 if name == "kf" else 3], traced(mean, assumed)
     true = trace[signals].to_numpy()
     return np.abs(trace[[f"{name}.{of}" for of in signals]].to_numpy() - true).max(0) / np.abs(true).max(0)
 
@@ -50,7 +50,7 @@ def test_its_run_is_scipys_and_its_delay_is_that_of_its_samples_in_the_mean():
 @pytest.mark.parametrize("mean", MEANS)
 @pytest.mark.parametrize("name", ["mmae-delay", "ekf-delay", "kf"])
 def test_where_the_delay_is_known_from_a_perfect_start_there_is_no_error(name, mean):
-    """Of the delay too, whether it varies or not; and where it is believed a tick off the position has one."""
+    """Of the delay too, whether it varies or not; and if the assumed one is a tick off, the position has one."""
     assert errors(mean, mean, name).max() < 1e-12
     if name != "kf":
         assert errors(mean, mean + 0.01, name)[0] > 1e-4

@@ -28,10 +28,10 @@ def slope(f, z, u):
 
 def ekf(f, h, z0, P0, Q, R, C, u, arrivals):
     """Return the estimates of ticks 0 .. N, [N+1, n]; `arrivals[k]` lists (taken, y) that come at tick k."""
-    return believed(f, h, z0, P0, Q, R, C, u, arrivals)[0]
+    return filter_by_arrival(f, h, z0, P0, Q, R, C, u, arrivals)[0]
 
 
-def believed(f, h, z0, P0, Q, R, C, u, arrivals):
+def filter_by_arrival(f, h, z0, P0, Q, R, C, u, arrivals):
     """Return the same, the covariance of each tick by the slopes since the last sample, [N+1, n, n], and nu' S^-1 nu."""
     z, P, taken, now, out = np.array(z0, float), np.array(P0, float), 0, np.array(z0, float), []
     spread, squares = [], np.zeros(len(u))

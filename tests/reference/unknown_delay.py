@@ -3,7 +3,7 @@
 Plant x' = A x + B u under held u, ticks of h; y = C x + v; samples come late, how late in the mean nobody knows.
 `mmae-delay`: for each delay a textbook filter of all samples at hand in the order they were taken; the mixture of them.
 `ekf_delay`: state of L ticks ago and delay; the sample's time between ticks by a straight line, slopes by matrix powers.
-Samples are those of `linear`, one for each channel; of their age both read by how much it differs from a believed mean.
+Samples are those of `linear`, one for each channel; of their age both read by how much it differs from an assumed mean.
 """
 
 import numpy as np
@@ -26,15 +26,15 @@ def grown(Ad, Q, P, ticks):
     return P
 
 
-def due(s, believed):
+def due(s, assumed):
     """When a sample would have come, had it been as late as the mean; of one stamped 0 nobody knows whether it is older."""
-    return s.taken + believed if s.taken else min(s.arrival, believed)
+    return s.taken + assumed if s.taken else min(s.arrival, assumed)
 
 
-def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std, believed):
+def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std, assumed):
     """Return per tick (xhat [n], delay [s]) and, at the last tick, the covariance of both; `samples` those that arrive.
 
-    `believed` [ticks]: the mean age by which the observer knows how much older than that a sample is.
+    `assumed` [ticks]: the mean age by which the observer knows how much older than that a sample is.
     """
     Ad, Bd = discretise(model.A, model.B, model.h)
     N, h, n = len(u) - 1, model.h, len(Ad)
@@ -47,7 +47,7 @@ def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std, believed)
             for s in in_order:
                 if s.arrival > k:
                     continue
-                taken = max(min(due(s, believed) - d, s.arrival), at)
+                taken = max(min(due(s, assumed) - d, s.arrival), at)
                 x, P, at = moved(Ad, Bd, u, x, at, taken), grown(Ad, Q, P, taken - at), taken
                 c, r = model.C[s.channel], R[s.channel]
                 S, nu = c @ P @ c + r, s.value - c @ x
@@ -74,10 +74,10 @@ def instants(samples, k):
         yield group[0], [s.channel for s in group], np.array([s.value for s in group])
 
 
-def ekf_delay(model: Model, u, samples, xhat0, P0, R, Q, mean, std, longest, walk, believed, later=0):
-    """Return per tick (xhat [n], delay [s]); `longest`, `believed` and `later` [ticks], `walk` [s^2] a tick.
+def ekf_delay(model: Model, u, samples, xhat0, P0, R, Q, mean, std, longest, walk, assumed, later=0):
+    """Return per tick (xhat [n], delay [s]); `longest`, `assumed` and `later` [ticks], `walk` [s^2] a tick.
 
-    `believed` is the mean age, `later` by how much the oldest sample is older than that.
+    `assumed` is the mean age, `later` by how much the oldest sample is older than that.
     """
     Ad, Bd = discretise(model.A, model.B, model.h)
     N, h, n = len(u) - 1, model.h, len(Ad)
@@ -91,7 +91,7 @@ def ekf_delay(model: Model, u, samples, xhat0, P0, R, Q, mean, std, longest, wal
             new, C = max(k - longest - later, 0), model.C[channels]
             z = np.append(moved(Ad, Bd, u, z[:n], base, new), z[n])
             P, base = grown(A2, Q2, P, new - base), new
-            place = min(max(due(one, believed) - z[n] / h, base), k)
+            place = min(max(due(one, assumed) - z[n] / h, base), k)
             i = min(max(int(np.floor(place)), base), max(k - 1, base))
             part = place - i
             a = moved(Ad, Bd, u, z[:n], base, i)

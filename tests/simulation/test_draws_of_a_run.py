@@ -1,4 +1,4 @@
-"""What a run draws for itself: its start, what is believed of it, process noise, and the noise of samples from before tick 0.
+"""What a run draws for itself: its start, its prior, process noise, and the noise of samples from before tick 0.
 
 Every draw is made by hand with jax.random, at the address that `rng` promises: root seed, seed, stream, channel, index.
 """

@@ -73,7 +73,7 @@ def account(gains, memory, now, arrival):
     )
     return {
         "tick": memory["tick"],
-        "told": memory["told"],
+        "sampled": memory["sampled"],
         "count": memory["count"] + came,
         "ages": memory["ages"] + came * arrival.age,
         "indices": memory["indices"] + came * arrival.index,
@@ -85,20 +85,22 @@ def account(gains, memory, now, arrival):
 
 def digest_samples(gains, memory, now, mask):
     """Digest which channels are sampled at which tick."""
-    return memory | {"told": fold_digest(memory["told"], [now.tick * 1.0, (mask * 1.0) @ jnp.array([1.0, 2.0, 4.0])])}
+    return memory | {
+        "sampled": fold_digest(memory["sampled"], [now.tick * 1.0, (mask * 1.0) @ jnp.array([1.0, 2.0, 4.0])])
+    }
 
 
 ACCOUNTS = ("count", "ages", "indices", "digest", "values")
 SPY = Observer(
     init=lambda gains, xhat0: (
-        {k: jnp.zeros(3) for k in ACCOUNTS} | {k: jnp.zeros(()) for k in ("told", "order", "tick")}
+        {k: jnp.zeros(3) for k in ACCOUNTS} | {k: jnp.zeros(()) for k in ("sampled", "order", "tick")}
     ),
     snapshot=lambda gains, memory, now: memory["tick"][None] + 0.25,
     jump=account,
     flow=lambda gains, memory, now: memory | {"tick": memory["tick"] + 1.0},
     on_sample=digest_samples,
     estimate=lambda gains, memory: jnp.concatenate(
-        [memory["told"][None], memory["order"][None], *(memory[k] for k in ACCOUNTS)]
+        [memory["sampled"][None], memory["order"][None], *(memory[k] for k in ACCOUNTS)]
     ),
 )
 STATES = 2 + 3 * len(ACCOUNTS)
@@ -129,9 +131,9 @@ def reference_digest(clocks, ticks, error, seed):
         if s.arrives < ticks:
             came.setdefault((s.arrives, s.tick), []).append(s)
     count, ages, indices, digest, values = np.zeros((len(ACCOUNTS), 3))
-    order, last, told = 0.0, (0, 0), 0.0
+    order, last, sampled = 0.0, (0, 0), 0.0
     for taken, channels in sorted(on_sample.items()):
-        told = fold_digest(told, [taken, sum(2**j for j in channels)])
+        sampled = fold_digest(sampled, [taken, sum(2**j for j in channels)])
     for (arrives, taken), packet in sorted(came.items()):
         last = last if arrives == last[1] else (last[1], arrives)
         believed = max(taken - error, 0)
@@ -144,7 +146,7 @@ def reference_digest(clocks, ticks, error, seed):
             digest[j] = fold_digest(digest[j], said)
             values[j] += (number + 1) * (taken + 1e3 * j + NOISE[j] * noise[j, number])
         order = fold_digest(order, [sum(2**s.channel for s in packet)])
-    return np.concatenate([[told, order], count, ages, indices, digest, values])
+    return np.concatenate([[sampled, order], count, ages, indices, digest, values])
 
 
 @cache

@@ -18,17 +18,17 @@ def runs(rng, n, metrics):
     return out | {"diverged": np.zeros(n, bool), "unsettled": rng.random((2, n)) < 0.3}
 
 
-def cells(seed, many, n, told):
+def cells(seed, many, n, is_consistent):
     rng = np.random.default_rng(seed)
     metrics = dict.fromkeys(("mae", "rmse", "mse", "max_abs_error", "settling_time", "steady_mae", "steady_mse"), 2)
-    each = {"a": metrics | (CONSISTENT if told else {}), "b": metrics, "c": metrics}
+    each = {"a": metrics | (CONSISTENT if is_consistent else {}), "b": metrics, "c": metrics}
     return [{o: runs(rng, n, mine) for o, mine in each.items()} for _ in range(many)]
 
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.sampled_from([1, 2, 3, 64, 65, 1024]), st.booleans())
-def test_cells_together_have_the_bits_of_each_alone(seed, many, n, told):
-    each, rng = cells(seed, many, n, told), np.random.default_rng(seed)
+def test_cells_together_have_the_bits_of_each_alone(seed, many, n, is_consistent):
+    each, rng = cells(seed, many, n, is_consistent), np.random.default_rng(seed)
     bounds = {"a": rng.random((many, 2)), "b": np.where(rng.random((many, 2)) < 0.5, np.nan, 1.0), "c": None}
     described, judged = statistics.summary_of_cells(each, bounds, SIZES)
     assert set(judged) == {("a", "b"), ("a", "c"), ("b", "c")}
