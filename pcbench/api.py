@@ -273,7 +273,7 @@ def operation_counts(
     Returns:
         A frame with one row per grid point and observer: `sample` and `tick` are multiplications per measurement and per
         tick of one run, `memory` is bytes kept from tick to tick (see `planning/operation_counts`). With a `processor_speed`
-        also `computing_time` [s] of a measurement (inf: too long for a run), and `every`: one of how many is used.
+        also `computing_time` [s] of a measurement (inf: too long for a run), and `stride`: one measurement in how many is used.
 
     Raises:
         UserError: a mistake in the study or an argument, in one sentence.
@@ -291,7 +291,7 @@ def operation_counts(
                 **p.cell.values,
                 "observer": label,
                 **count._asdict(),
-                **(dict(zip(("computing_time", "every"), processor.times_in(p.cell), strict=True)) if limited else {}),
+                **(dict(zip(("computing_time", "stride"), processor.times_in(p.cell), strict=True)) if limited else {}),
             }
             for p in drafts(grid.cells)
             for label, count in counts.costs(p).items()

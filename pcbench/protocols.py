@@ -238,8 +238,8 @@ class DelayEstimate(Protocol):
 class InnovationStats(NamedTuple):
     """Statistics of an innovation nu (measurement minus prediction), relative to its assumed covariance S.
 
-    `log_det` is needed for the likelihood, `normalized_sum` for the whiteness test, `each` for the NIS of each channel, and
-    `sigma` for the figures of a replay.
+    `log_det` is needed for the likelihood, `normalized_sum` for the whiteness test, `normalized` for the NIS of each channel,
+    and `sigma` for the figures of a replay.
     If the components of nu are decorrelated one after the other, nu_j has the variance s_j.
     """
 
@@ -247,7 +247,7 @@ class InnovationStats(NamedTuple):
     dof: Float[Array, ""]  # number of components that count; 0: the measurement is not judged
     log_det: PyTree = None  # log det S, of the components that count
     normalized_sum: PyTree = None  # sum of nu_j / sqrt(s_j) over the components that count
-    each: PyTree = None  # nu_j / sqrt(s_j) of each channel [q]; NaN if the channel does not count
+    normalized: PyTree = None  # nu_j / sqrt(s_j) of each channel [q]; NaN if the channel does not count
     sigma: PyTree = None  # sqrt(s_j) of each channel [q], in its unit; NaN if the channel does not count
 
 

@@ -67,7 +67,7 @@ class Trial(NamedTuple):
     @property
     def period_ticks(self) -> int:
         """Return the ticks between two decisions, by the option `period`."""
-        return self.context.every(getattr(self.options, "period", None))
+        return self.context.period_ticks(getattr(self.options, "period", None))
 
 
 def trial(label: str, plugin: UserPlugin, scenario: Scenario, options: Mapping[str, Any]) -> tuple[Trial, str]:

@@ -116,7 +116,7 @@ def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     counts = [Column(name, [f"{v:,}" for v in table[name]]) for name in ("sample", "tick", "memory")]
     if "computing_time" in table:
         counts += [Column("computing time [s]", [f"{v:.3g}" for v in table.computing_time])]
-        counts += [Column("one used of", [str(v) for v in table.every])]
+        counts += [Column("one used of", [str(v) for v in table.stride])]
     screen.fit(f"operations of {study}", [*columns, *cells, *counts])
     screen.print(COSTS)
 

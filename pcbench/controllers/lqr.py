@@ -35,7 +35,7 @@ def gain(options: Lqr, context: ControllerContext) -> Matrix:
     (Phi, Gamma), (n, m) = context.tick, context.model.B.shape
     sizes = Sizes(context.states, m, len(context.model.C), context.dt, "controller")
     Q1, Q2 = common.matrix(options.Q1, (n, n), "Q1", sizes), common.matrix(options.Q2, (m, m), "Q2", sizes)
-    return lqr.gain(*lqr.over_period((Phi, Gamma), context.every(options.period)), Q1, Q2, "controller lqr")
+    return lqr.gain(*lqr.over_period((Phi, Gamma), context.period_ticks(options.period)), Q1, Q2, "controller lqr")
 
 
 def prepare(options: Lqr, context: ControllerContext) -> state_feedback.Params:

@@ -74,7 +74,7 @@ def check(options: Options, sizes: Sizes) -> None:
 def prepare(options: Options, context: ControllerContext) -> Params:
     """Return the parameters of the law."""
     (q, _), (_, m) = context.model.C.shape, context.model.B.shape
-    sizes, period = Sizes(context.states, m, q, context.dt, "controller"), context.every(options.period)
+    sizes, period = Sizes(context.states, m, q, context.dt, "controller"), context.period_ticks(options.period)
     T = period * context.dt
     Kp, Ki, Kd = (
         np.zeros((m, q)) if gain == 0.0 else common.matrix(gain, (m, q), "gain", sizes)

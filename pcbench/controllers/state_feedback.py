@@ -68,7 +68,7 @@ def numbers(options: Any, context: ControllerContext, K: np.ndarray) -> Params:
         K=K,
         x_ref=aims.x,
         u_ref=aims.u + np.asarray(options.offset, float),
-        period_ticks=np.asarray(context.every(options.period)),
+        period_ticks=np.asarray(context.period_ticks(options.period)),
         limit=np.broadcast_to(limit, m).copy(),
         late=np.asarray(context.late if options.knows_delay else 0),
         Phi=Phi,

@@ -66,7 +66,6 @@ class Window(NamedTuple):
     prior_mean: Float[Array, " N"]  # m
     prior_P: Float[Array, "N N"]  # P
     prior_tick: Int[Array, ""]  # of m
-    z_0: Float[Array, " N"]  # from the last solution
 
 
 class Options(nonlinear_model.Options):
@@ -100,7 +99,6 @@ def first(gains: Gains, xhat0: Array) -> Window:
         prior_mean=z,
         prior_P=gains.P0,
         prior_tick=zero,
-        z_0=z,
     )
 
 
@@ -152,7 +150,7 @@ def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window
         return structured_qp.solve_bounded(chain, bounds, path) if bounds else structured_qp.smooth_chain(chain)
 
     path = lax.fori_loop(0, gains.extra.iterations.shape[0], gauss_newton_step, path)
-    return w._replace(mean=path[-1], P=P, path=path[1:], z_0=path[0], means=shift(state.means, path[-1]))
+    return w._replace(mean=path[-1], P=P, path=path[1:], means=shift(state.means, path[-1]))
 
 
 OBSERVER = repropagation.observer(

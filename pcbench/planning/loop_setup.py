@@ -116,7 +116,7 @@ def network(cell: Cell) -> command_network.NetworkParams | tuple[()]:
         return ()
     context = controller_table.controller_context(s)
     return command_network.NetworkParams(
-        period_ticks=np.asarray(context.every(getattr(options(cell), "period", None))),
+        period_ticks=np.asarray(context.period_ticks(getattr(options(cell), "period", None))),
         delay=np.asarray(times.to_ticks(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.to_ticks(loop.command_jitter, s)),
         loss=np.asarray(loop.command_loss),

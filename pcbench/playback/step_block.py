@@ -140,7 +140,7 @@ def apply_events(
             if o.innovation:  # NaN: a skipped sample
                 stats = o.innovation(p.gains[label], run.memories[label], present(p, k, False), arrival(packet[label]))
                 unknown = jnp.full(window.mask[slot].shape, jnp.nan)
-                by_channel = [unknown if numbers is None else numbers for numbers in (stats.each, stats.sigma)]
+                by_channel = [unknown if numbers is None else numbers for numbers in (stats.normalized, stats.sigma)]
                 total = [jnp.asarray(jnp.nan if number is None else number) for number in stats[:N_STATS]]
                 packet_stats = packet_stats.at[slot].set(jnp.concatenate([jnp.stack(total), *by_channel]))
             return run._replace(memories=simulate_runs.jump(layout, p, k, run, packet, arrival)), packet_stats

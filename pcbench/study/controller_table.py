@@ -138,7 +138,7 @@ def slowest_mode(s: Scenario, where: str) -> SlowestMode | None:
     if law is None:
         return None
     delay = 0 if getattr(options, "knows_delay", False) else context.late
-    period = context.every(getattr(options, "period", None))
+    period = context.period_ticks(getattr(options, "period", None))
     modes = np.linalg.eigvals(lqr.monodromy_matrix(context.tick, law, period, delay))
     return SlowestMode(complex(modes[np.argmax(np.abs(modes))]), delay * s.dt, period * s.dt)
 

@@ -31,12 +31,12 @@ class Options(BaseModel):
 class Params(NamedTuple):
     K: Any
     T: Any
-    every: Any
+    period_ticks: Any
 
 
 def prepare(options, context):
-    every = context.every(options.period)
-    return Params(np.array([[options.gain, 0.1]]), np.asarray(every * context.dt), np.asarray(every))
+    period_ticks = context.period_ticks(options.period)
+    return Params(np.array([[options.gain, 0.1]]), np.asarray(period_ticks * context.dt), np.asarray(period_ticks))
 
 
 def start(params, estimate):
@@ -46,7 +46,7 @@ def start(params, estimate):
 def command(params, now, estimate, coming, kept):
     total = kept[1] + 0.5 * params.T * estimate[0]
     u = -params.K @ estimate[:2] - total
-    new, decides = (u, total), now.tick % params.every == 0
+    new, decides = (u, total), now.tick % params.period_ticks == 0
     after = jax.tree.map(lambda a, b: jnp.where(decides, a, b), new, kept)
     return after[0], after
 

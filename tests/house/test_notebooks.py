@@ -10,6 +10,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 IN_CI = ("01_first_look", "11_your_own", "12_a_loop_of_your_own", "14_a_recording")  # 15 takes minutes; its page runs
 
 
+@pytest.mark.usefixtures("as_users_have_it")  # they compute for longer than they compile
 @pytest.mark.parametrize(
     "path",
     [pytest.param(p, marks=pytest.mark.ci if p.stem in IN_CI else pytest.mark.nightly) for p in NOTEBOOKS],

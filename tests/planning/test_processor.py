@@ -138,7 +138,7 @@ def test_a_table_of_operations_says_how_long_a_sample_takes():
     (once, w), (third, later) = slow(1), slow(3)
     table = pcbench.operation_counts(at(inf, once, third, 100.0)).set_index("processor_speed")
     assert table.computing_time.tolist() == pytest.approx([0.0, 0.1 * w, 0.1 * later, inf])
-    assert table.every.tolist() == [1, 1, 3, 1]
+    assert table.stride.tolist() == [1, 1, 3, 1]
     assert "computing_time" not in pcbench.operation_counts(having())
 
 

@@ -44,22 +44,22 @@ class Params(NamedTuple):
     aim: Any
     limit: Any
     T: Any  # period [s]
-    every: Any  # period in ticks
+    period_ticks: Any  # period in ticks
 
 
 def prepare(options: Options, context: pcbench.ControllerContext) -> Params:
     """Compute the numbers. `context` has the linear model, dt [s], names of the states, `late` (delay of commands in ticks)."""
-    every, (Phi, Gamma) = context.every(options.period), context.tick  # one tick: x -> Phi x + Gamma u
+    period_ticks, (Phi, Gamma) = context.period_ticks(options.period), context.tick  # one tick: x -> Phi x + Gamma u
     n, m = Gamma.shape
     A, B = np.eye(n + 1), np.zeros((n + 1, m))
     tick = np.block(
         [[Phi, np.zeros((n, 1))], [-context.dt * np.eye(1, n), np.ones((1, 1))]]
     )  # the integral is an additional state
-    for _ in range(every):  # the input is held over the period
+    for _ in range(period_ticks):  # the input is held over the period
         A, B = tick @ A, tick @ B + np.vstack([Gamma, np.zeros((1, m))])
     S = solve_discrete_are(A, B, np.eye(n + 1), options.weight * np.eye(m))
     K = np.linalg.solve(options.weight * np.eye(m) + B.T @ S @ B, B.T @ S @ A)
-    numbers = options.aim, options.limit, every * context.dt, every
+    numbers = options.aim, options.limit, period_ticks * context.dt, period_ticks
     return Params(K[:, :n], K[:, n], *(np.asarray(v) for v in numbers))
 
 
@@ -86,7 +86,7 @@ def command(params: Params, now: pcbench.Now, estimate: Array, coming: Any, kept
     free = -params.K @ off - params.Ki * integral
     u = jnp.clip(free, -params.limit, params.limit)
     new = u, jnp.where(jnp.all(u == free), integral, kept[1])  # no windup at the limit
-    decides = now.tick % params.every == 0  # the command is held over the period
+    decides = now.tick % params.period_ticks == 0  # the command is held over the period
     after = jax.tree.map(lambda a, b: jnp.where(decides, a, b), new, kept)
     return after[0], after
 

@@ -57,7 +57,7 @@ class ControllerContext(NamedTuple):
         """Return Phi [n, n] and Gamma [n, m] of one tick."""
         return one_tick(self.model, self.dt)
 
-    def every(self, period: float | None) -> int:
+    def period_ticks(self, period: float | None) -> int:
         """Return a controller's period in ticks; None is one tick."""
         return 1 if period is None else round(period / self.dt)
 

@@ -67,7 +67,7 @@ def pad_columns(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
 def empty_stats() -> InnovationStats:
     """Return innovation statistics without a component."""
     zero, empty = jnp.zeros(()), jnp.zeros(0)
-    return InnovationStats(zero, zero, zero, zero, each=empty, sigma=empty)
+    return InnovationStats(zero, zero, zero, zero, normalized=empty, sigma=empty)
 
 
 def add_innovation(
@@ -81,7 +81,7 @@ def add_innovation(
         dof=stats.dof + jnp.where(mask, 1.0, 0.0),
         log_det=stats.log_det + jnp.where(mask, jnp.log(s), 0.0),
         normalized_sum=stats.normalized_sum + jnp.where(mask, z, 0.0),
-        each=jnp.append(stats.each, jnp.where(mask, z, jnp.nan)),
+        normalized=jnp.append(stats.normalized, jnp.where(mask, z, jnp.nan)),
         sigma=jnp.append(stats.sigma, jnp.where(mask, sigma, jnp.nan)),
     )
 
