@@ -1,17 +1,20 @@
 """Six kinds of simulation next to a numba loop written for each: nanoseconds of one core per lane-tick.
 
-    python benchmarks/numba_cases.py [--small] [--json]
+    python benchmarks/numba_cases.py [--small] [--json] [--only "closed loop"]
 
-One lane-tick is one run advanced by one tick: plant, observers, controller, and mean absolute error, RMS error and peak of every
+One lane-tick is one run advanced by one tick: plant, observers, controller, and mean absolute error, RMS error and peak of each
 estimated signal, in float64. The loops are in `numba_loops.py`. Before a case is timed, its loop simulates the first runs with
 pcbench's random numbers. A metric that differs by more than 1e-9 of its value ends the program with exit code 1.
 
 Timing: processor time of one core, pcbench and numba in turns (see `turns`), best of the turns. Both draw their random numbers
-within the time: pcbench its own (Threefry, addressed by run), numba NumPy's generator (PCG64 with a ziggurat), which is cheaper.
+within the time: pcbench its own (Threefry, addressed by run), numba those of NumPy (PCG64 with a ziggurat), which take less.
 A turn of pcbench is one call of the width that a study uses: arguments sent, simulated and read.
 The loops have advantages: what the input alone decides is computed beforehand, they are written for one case, and pcbench adds
 settling time and divergence, and in a closed loop the tracking error and the cost.
-Not claimed: that no loop could be faster, only that these are what a control engineer would write with care.
+The table also shows what pcbench's program does per lane-tick (`hlo_counts.py`) and its share of what the core can do: the
+operations of a product of matrices, and the bandwidth of the second cache. Integer operations are those of the random numbers.
+Not claimed: that no loop could be faster, only that these are what a control engineer would write with care; nor that each
+operation counted is needed, since the compiler computes some results again in every kernel that uses them.
 With --small runs are short and take one turn, with every row and check: the figures mean nothing then.
 """
 
@@ -20,9 +23,10 @@ import json
 import os
 from collections.abc import Callable
 from functools import partial
-from time import perf_counter
+from time import process_time
 from typing import Any, NamedTuple
 
+import hlo_counts
 import jax
 import jax.numpy as jnp
 import numba_loops
@@ -55,6 +59,7 @@ class Kind(NamedTuple):
     study: dict[str, Any]
     loop: Callable[..., None]
     prepare: Callable[[Plan], tuple[Any, ...]]  # the numbers of its loop
+    loops: tuple[str, ...] = ("segments", "ticks")  # of its program, if their number is not in its text; see `trips_of`
 
 
 def prepare_linear(p: Plan) -> numba_loops.Linear:
@@ -68,7 +73,7 @@ def prepare_linear(p: Plan) -> numba_loops.Linear:
     return numba_loops.Linear(
         ticks=ticks,
         period=clock.period,
-        delay=clock.delay,
+        delay=clock.delay or 0,
         jitter=clock.jitter,
         loss=clock.loss,
         noise_std=float(problem.noise_std[0]),
@@ -122,7 +127,7 @@ def prepare_helicopter(p: Plan) -> numba_loops.Helicopter:
     return numba_loops.Helicopter(
         ticks=p.cell.times.ticks,
         period=clock.period,
-        delay=clock.delay,
+        delay=clock.delay or 0,
         dt=float(problem.dt),
         noise_std=problem.noise_std,
         x0=problem.x0,
@@ -150,8 +155,20 @@ def prepare_helicopter(p: Plan) -> numba_loops.Helicopter:
 
 KINDS = [
     Kind("process noise", OTHERS["process noise"], numba_loops.process_noise, prepare_linear),
-    Kind("a schedule for each run", OTHERS["a schedule for each run"], numba_loops.random_schedule, prepare_linear),
-    Kind("closed loop", OTHERS["closed loop"], numba_loops.closed_loop, prepare_linear),
+    Kind(
+        "a schedule for each run",
+        OTHERS["a schedule for each run"],
+        numba_loops.random_schedule,
+        prepare_linear,
+        ("segments", "once", "once", "ticks"),
+    ),
+    Kind(
+        "closed loop",
+        OTHERS["closed loop"],
+        numba_loops.closed_loop,
+        prepare_linear,
+        ("segments", "ticks", "never", "never"),
+    ),
     Kind("arm, smo", {"scenario": {"base": "arm/sampled"}, "observers": ["smo"]}, numba_loops.arm, prepare_arm),
     Kind(
         "helicopter, high-gain",
@@ -159,7 +176,13 @@ KINDS = [
         numba_loops.high_gain,
         prepare_helicopter,
     ),
-    Kind("helicopter, ekf", {"scenario": HELICOPTER, "observers": ["ekf"]}, numba_loops.ekf, prepare_helicopter),
+    Kind(
+        "helicopter, ekf",
+        {"scenario": HELICOPTER, "observers": ["ekf"]},
+        numba_loops.ekf,
+        prepare_helicopter,
+        ("segments", "period", "delay", "ticks"),
+    ),
 ]
 
 
@@ -172,12 +195,25 @@ def draws_of(p: Plan, seed: int) -> tuple[Array, Array]:
     noise = [np.asarray(rng.measurement_noise(0, seed, samples, channels)).ravel()]
     if states:
         keys = rng.run_keys(root, seeds, "process", states)
-        noise.append(np.asarray(jax.jit(jax.vmap(lambda k: rng.normals(keys, [k] * states)))(jnp.arange(ticks))).ravel())
+        noise.append(
+            np.asarray(jax.jit(jax.vmap(lambda k: rng.normals(keys, [k] * states)))(jnp.arange(ticks))).ravel()
+        )
     if not random:
         return np.concatenate(noise), np.zeros(0)
     channel = jnp.asarray(0)
-    shift, loss = (rng.uniforms(root, seeds, s, channel, samples, n)[:, n // 2, 0] for s, n in (("jitter", 3), ("loss", 1)))
+    shift, loss = (
+        rng.uniforms(root, seeds, s, channel, samples, n)[:, n // 2, 0] for s, n in (("jitter", 3), ("loss", 1))
+    )
     return np.concatenate(noise), np.concatenate([shift, loss])
+
+
+def trips_of(kind: Kind, p: Plan) -> list[float]:
+    """Return how often each loop of a program runs: segments of ticks between events, per window, and loops inside them."""
+    ticks, clock = p.cell.times.ticks, p.cell.times.clocks[0]
+    segments = ticks * (2 * clock.jitter + 1) / clock.period
+    lengths = {"segments": segments / len(p.problem.windows), "ticks": ticks / segments, "once": 1.0, "never": 0.0}
+    lengths |= {"period": float(clock.period), "delay": float(clock.delay or 0)}
+    return [lengths[name] for name in kind.loops]
 
 
 def sums_of(p: Plan, outcome: RunSums) -> Array:
@@ -194,11 +230,12 @@ def check(what: str, got: Array, expected: Array) -> None:
         raise SystemExit(f"numba_cases: {what}: got metrics {worst:.1e} off pcbench's, expected {TOLERANCE:g} at most.")
 
 
-def rows_of(kind: Kind, small: bool) -> tuple[list[Row], int]:
-    """Return pcbench's and numba's row of a kind and its ticks, after the check that they agree."""
+def measured(kind: Kind, small: bool) -> dict[str, Any]:
+    """Check, count and time one kind."""
     table = "lti" if "lti" in kind.study else "scenario"
     cut = {table: kind.study[table] | {"duration": 1.0, "steady_start": 0.5}} if small else {}
-    (p,) = planning.plan(parse.grid_of({"name": "kind", "seeds": runner.NARROW_WIDTHS[-1]} | kind.study | cut, {}, []).study)
+    study = {"name": "kind", "seeds": runner.NARROW_WIDTHS[-1]} | kind.study | cut
+    (p,) = planning.plan(parse.grid_of(study, {}, []).study)
     layout, ticks = p.layout._replace(width=FEW) if small else p.layout, p.cell.times.ticks
     jobs = [runner.Job(p.problem, 0, np.arange(layout.width))]
     program = runner.program(layout, jobs[0])
@@ -209,35 +246,53 @@ def rows_of(kind: Kind, small: bool) -> tuple[list[Row], int]:
         kind.loop(case, *(draws := draws_of(p, seed)), out)
         check(f"{kind.what}, run {seed}", out, expected[..., seed])
     runs = 1 if small else RUNS
-    work = partial(numba_loops.simulate, kind.loop, case, np.random.default_rng(0), *draws, np.zeros((runs, *out.shape)))
-    start = perf_counter()
-    numba_loops.simulate(*work.args[:-1], np.zeros((1, *out.shape)))
-    compile_seconds = perf_counter() - start
-    mine = partial(turn, layout, jobs, 1)
-    return [
-        Row(f"{kind.what}, pcbench", 1, layout.width, layout.width, mine, program.compile_seconds),
-        Row(f"{kind.what}, numba", 1, 1, runs, work, compile_seconds),
-    ], ticks
-
-
-def measured(kind: Kind, small: bool) -> dict[str, Any]:
-    """Check and time one kind."""
-    rows, ticks = rows_of(kind, small)
+    work = partial(numba_loops.simulate, kind.loop, case, np.random.default_rng(0), *draws)
+    start = process_time()
+    work(np.zeros((1, *out.shape)))
+    compile_seconds = process_time() - start
+    rows = [
+        Row("pcbench", 1, layout.width, layout.width, partial(turn, layout, jobs, 1), program.compile_seconds),
+        Row("numba", 1, 1, runs, partial(work, np.zeros((runs, *out.shape))), compile_seconds),
+    ]
     timed = take(rows, 1 if small else TURNS)
-    runs = np.array([row.runs for row in rows])
-    mine, loop = 1e9 * timed.cpu.min(1) / (runs * ticks)
-    return {"what": kind.what, "ticks": ticks, "lanes": rows[0].lanes, "pcbench": mine, "numba": loop, "ratio": loop / mine}
+    mine, loop = 1e9 * timed.cpu.min(1) / (np.array([layout.width, runs]) * ticks)
+    counts = hlo_counts.count(program.call.as_text(), trips_of(kind, p))
+    per_lane_tick = [float(n) / (layout.width * ticks) for n in counts[:3]]
+    found = {
+        "what": kind.what,
+        "ticks": ticks,
+        "lanes": layout.width,
+        "pcbench": mine,
+        "numba": loop,
+        "ratio": loop / mine,
+    }
+    return found | dict(zip(counts._fields, [*per_lane_tick, counts.kernels / ticks], strict=True))
 
 
-def show(rows: list[dict[str, Any]]) -> None:
+COLUMNS = {  # key: head and format
+    "what": ("case", "{}"),
+    "ticks": ("ticks", "{:,}"),
+    "lanes": ("lanes", "{:,}"),
+    "pcbench": ("pcbench [ns]", "{:.0f}"),
+    "numba": ("numba [ns]", "{:.0f}"),
+    "ratio": ("ratio", "{:.2f}"),
+    "flops": ("flops", "{:,.0f}"),
+    "integer": ("integer", "{:,.0f}"),
+    "bytes": ("bytes", "{:,.0f}"),
+    "kernels": ("kernels per tick", "{:.0f}"),
+    "share": ("share of flops", "{:.0%}"),
+    "share_l2": ("share of L2", "{:.0%}"),
+}
+
+
+def show(rows: list[dict[str, Any]], core: hlo_counts.Core) -> None:
     """Print the table."""
-    table = Table(title="Nanoseconds of one core per lane-tick")
-    for i, head in enumerate(("case", "ticks", "lanes", "pcbench", "numba", "numba / pcbench")):
-        table.add_column(head, justify="right" if i else "left", no_wrap=True)
-    for r in rows:
-        table.add_row(
-            r["what"], f"{r['ticks']:,}", f"{r['lanes']:,}", *(f"{r[k]:.3g}" for k in ("pcbench", "numba", "ratio"))
-        )
+    caption = f"Per lane-tick. One core: {core.gflops:.0f} GFLOP/s, {core.l1:.0f} bytes/ns in L1, {core.l2:.0f} in L2."
+    table = Table(title="pcbench next to numba, one core", caption=caption)
+    for head, _ in COLUMNS.values():
+        table.add_column(head, justify="left" if head == "case" else "right", no_wrap=head == "case")
+    for row in rows:
+        table.add_row(*(shape.format(row[key]) for key, (_, shape) in COLUMNS.items()))
     Console(width=150).print(table)
 
 
@@ -251,11 +306,19 @@ def main() -> None:
     os.environ["NPROC"] = "1"
     config.setup()
     jax.config.update("jax_platforms", "cpu")
+    core = hlo_counts.core()
     rows = [measured(kind, options.small) for kind in KINDS if (options.only or "") in kind.what]
+    for row in rows:
+        row |= {
+            "share": row["flops"] / row["pcbench"] / core.gflops,
+            "share_l2": row["bytes"] / row["pcbench"] / core.l2,
+        }
     if options.json:
-        print(json.dumps({"unit": "nanoseconds of one core per lane-tick", "rows": rows}, indent=2))
+        print(
+            json.dumps({"unit": "per lane-tick, times in nanoseconds", "core": core._asdict(), "rows": rows}, indent=2)
+        )
     else:
-        show(rows)
+        show(rows, core)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ Everything that is equal in all runs (powers of Phi, responses to a common input
 Measured samples are numbered from 0; `noise` has those of channel 0, then of channel 1, then the process noise by tick.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -96,7 +96,11 @@ def _kf(E, Q, c, R, free, P, g, y):
     """Predict xhat - g and P = (P00, P01, P11) by E and Q, and update them with the sample y."""
     a, b = E[0, 0] * P[0] + E[0, 1] * P[1], E[0, 0] * P[1] + E[0, 1] * P[2]
     d, f = E[1, 0] * P[0] + E[1, 1] * P[1], E[1, 0] * P[1] + E[1, 1] * P[2]
-    p, q, r = a * E[0, 0] + b * E[0, 1] + Q[0, 0], a * E[1, 0] + b * E[1, 1] + Q[0, 1], d * E[1, 0] + f * E[1, 1] + Q[1, 1]
+    p, q, r = (
+        a * E[0, 0] + b * E[0, 1] + Q[0, 0],
+        a * E[1, 0] + b * E[1, 1] + Q[0, 1],
+        d * E[1, 0] + f * E[1, 1] + Q[1, 1],
+    )
     h0, h1 = p * c[0] + q * c[1], q * c[0] + r * c[1]
     s = c[0] * h0 + c[1] * h1 + R
     k0, k1 = h0 / s, h1 / s
@@ -289,7 +293,16 @@ def arm(case, noise, uniform, out):
     """The arm with a sampled, delayed smo; the fifth error is that of the unknown input."""
     N, h, period, samples = case.ticks, case.dt, case.period, -(-case.ticks // case.period)
     plant = case.stiffness, case.gravity, case.friction[0], case.friction[1]
-    P2, F, Lx, S, d, transition, f0, f1 = case.P2, case.F, case.Lx, case.S, case.d, case.transition, case.fhat[0], case.fhat[1]
+    P2, F, Lx, S, d, transition, f0, f1 = (
+        case.P2,
+        case.F,
+        case.Lx,
+        case.S,
+        case.d,
+        case.transition,
+        case.fhat[0],
+        case.fhat[1],
+    )
     law = P2[0, 0], P2[0, 1], P2[1, 0], P2[1, 1], case.rho, case.eps
     x = (case.x0[0], case.x0[1], case.x0[2], case.x0[3])
     z, ahead, rate, total, xhat, y = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(4), np.zeros(2)
@@ -434,7 +447,12 @@ def _high_gain_rate(plant, th, m, c, u, rate):
         c1, c2, c3 = s22 * s33 - s23 * s23, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22
         g = th * (m[6 + j] + c[j]) / (s11 * c1 + s12 * c2 + s13 * c3)
         z2, z3 = m[2 + j], m[4 + j]
-        rate[j], rate[2 + j], rate[4 + j], rate[6 + j] = z2 - c1 * g, a * z3 + phi - th * c2 * g, -th * th * c3 * g, -c1 * g
+        rate[j], rate[2 + j], rate[4 + j], rate[6 + j] = (
+            z2 - c1 * g,
+            a * z3 + phi - th * c2 * g,
+            -th * th * c3 * g,
+            -c1 * g,
+        )
         rate[8 + j], rate[10 + j], rate[12 + j] = th * (1 - s11), th * (-s12 - s11), th * (-s13 - a * s12)
         rate[14 + j], rate[16 + j] = th * (-s22 - 2 * s12), th * (-s23 - s13 - a * s22)
         rate[18 + j] = th * (-s33 - 2 * a * s23)

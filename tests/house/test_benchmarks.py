@@ -12,11 +12,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import hurried
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
-HELPERS = {"baselines", "map_study", "turns"}  # imported by the others
+HELPERS = {"baselines", "hlo_counts", "map_study", "numba_loops", "turns"}  # imported by the others
 ROWS = {  # what each prints, and how often
     "throughput": {
         "(a)": 1,
@@ -27,6 +29,14 @@ ROWS = {  # what each prints, and how often
         "a schedule for each run, pcbench": 1,
         "closed loop, pcbench": 1,
         "nonlinear plant, pcbench": 1,
+    },
+    "numba_cases": {
+        "process noise": 1,
+        "a schedule for each run": 1,
+        "closed loop": 1,
+        "arm, smo": 1,
+        "helicopter, high-gain": 1,
+        "helicopter, ekf": 1,
     },
     "random_schedules": {
         "one schedule for all": 2,
@@ -113,6 +123,28 @@ def test_throughput_refuses_to_time_other_numbers(script):
         agree("other", sums * [[[1 + 1e-6]], [[1.0]], [[1.0]]], sums, 10)
     with pytest.raises(SystemExit):
         agree("none", sums * np.nan, sums, 10)
+
+
+def test_numba_cases_refuses_to_time_other_numbers(script):
+    check, sums = script("numba_cases")["check"], np.ones((3, 5))
+    check("same", sums, sums * (1 + 1e-12))
+    with pytest.raises(SystemExit, match=r"numba_cases: other: got metrics 1.0e-06 off pcbench's"):
+        check("other", sums * [[1 + 1e-6], [1.0], [1.0]], sums)
+    with pytest.raises(SystemExit):
+        check("none", sums * np.nan, sums)
+
+
+def test_hlo_counts_multiply_loops_and_refuse_other_numbers_of_loops(script):
+    count = script("hlo_counts")["count"]
+
+    def program(x, n):
+        outer = jax.lax.fori_loop(0, n, lambda i, x: jax.lax.fori_loop(0, 4, lambda j, x: jnp.sqrt(x) * x, x), x)
+        return outer @ outer.T
+
+    text = jax.jit(program).lower(jnp.ones((8, 3)), jnp.asarray(5)).compile().as_text()
+    assert count(text, [5.0]).flops == 5 * 4 * 2 * 24 + 2 * 8 * 8 * 3
+    with pytest.raises(ValueError, match="got 1 numbers of loop runs too many"):
+        count(text, [5.0, 1.0])
 
 
 def test_accelerator_sees_a_difference_of_any_observer(script):
