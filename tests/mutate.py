@@ -34,7 +34,7 @@ WITHOUT = ("BitOr", "RemoveDecorator", "ExceptionReplacer", "NoOp", "VariableRep
 MORE = {  # folders with tests that are about a folder of the package, besides its own
     "simulation": ("invariants", "observers"),
     "engine": ("simulation", "invariants"),
-    "observers": ("invariants",),
+    "observers": ("invariants", "plants"),
     "dynamics": ("plants", "observers"),
     "statistics": ("limits",),
 }
