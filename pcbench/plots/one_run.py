@@ -29,7 +29,7 @@ from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.grid import Cell, cells
 
-FORM = 5  # of the file
+FORM = 6  # of the file
 ENDS = ("lowest", "highest")  # of an interval
 POINTS = 120  # ticks that are kept, or up to twice as many
 SIZES = {"abs_p05": 0.05, "abs_p25": 0.25, "abs_p50": 0.5, "abs_p75": 0.75, "abs_p95": 0.95}  # quantiles of |e|
@@ -64,7 +64,8 @@ def of_scenarios(
     - sigma, and of no signal nees, nees_low, nees_high: in a study with consistency, the assumed standard deviation of this
       run, the mean NEES over RUNS runs, and its 95 % band if P is true
 
-    Runs that do not differ, and those with random schedules, have no low, high and rms. None: the runs are not stored, and the
+    A closed loop is frozen when it diverges: its truth, estimate and error are NaN from then on. Runs that do not differ, and
+    those with random schedules, have no low, high and rms. None: the runs are not stored, and the
     code of a user's observer is not loaded. Raises UserError for a cell that the scenario does not have.
     """
     grid_cells = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
@@ -165,20 +166,24 @@ def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.
     names = dict(zip(plan.labels, (name for name, _ in plan.layout.observers), strict=True))
     outputs = outputs_of_states(scenario)
     plant = f"{UNDER}{plan.labels[0]}" if is_closed else "plant"
+    rows = _rows_before_divergence(plan, trajectories) if is_closed else len(t)
+
+    def moving(values: ArrayLike) -> Floats:
+        return np.where(np.arange(len(t)) < rows, values, np.nan)
 
     def frame(signal: str, name: str, kind: str, values: ArrayLike) -> pd.DataFrame:
         return pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
 
     for i, (signal, _) in enumerate(estimated_of(scenario)):
         if first or is_closed:
-            yield frame(signal, plant, "truth", trajectories.x[:, i, 0])
+            yield frame(signal, plant, "truth", moving(trajectories.x[:, i, 0]))
         for label, name in names.items():
             estimates = trajectories.estimates[name]
             if i >= estimates.shape[1]:
                 continue
             error = trajectories.x[:, i] - estimates[:, i]
-            yield frame(signal, label, "estimate", estimates[:, i, 0])
-            yield frame(signal, label, "error", error[:, 0])
+            yield frame(signal, label, "estimate", moving(estimates[:, i, 0]))
+            yield frame(signal, label, "error", moving(error[:, 0]))
             for kind, values in _spread(error).items():
                 yield frame(signal, label, kind, values)
             if name in trajectories.sigma:
@@ -193,8 +198,7 @@ def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.
         held_values = trajectories.newest[:, :, 0]
         with np.errstate(invalid="ignore"):
             new = (np.diff(held_values, axis=0, prepend=np.nan) != 0) & np.isfinite(held_values)
-        rows = np.any(new, axis=1)
-        yield frame("", "measured", "arrival", np.ones(len(t)))[rows]
+        yield frame("", "measured", "arrival", np.ones(len(t)))[np.any(new, axis=1)]
     for i, (signal, _) in enumerate(entry_of(scenario).errors):
         for label, name in names.items():
             yield frame(signal, label, "error", trajectories.errors[name][:, i, 0])
@@ -204,6 +208,15 @@ def _series(task: Task, trajectories: Trajectories, first: bool) -> Iterator[pd.
         if name in trajectories.nees:
             for kind, values in _mean_nees(*trajectories.nees[name]).items():
                 yield frame("", label, kind, values)
+
+
+def _rows_before_divergence(plan: Plan, trajectories: Trajectories) -> int:
+    """Return the number of rows of the first run of a closed loop up to the first one with an error that has diverged."""
+    bound = np.asarray(plan.problem.bound)
+    estimates = next(iter(trajectories.estimates.values()))[:, :, 0]
+    n = min(estimates.shape[1], len(bound))
+    has_diverged = ~np.all(np.abs(trajectories.x[:, :n, 0] - estimates[:, :n]) <= bound[:n], axis=1)
+    return int(np.argmax(has_diverged)) + 1 if has_diverged.any() else len(has_diverged)
 
 
 def _spread(errors: jax.Array) -> dict[str, Floats]:

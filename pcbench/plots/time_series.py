@@ -22,6 +22,7 @@ from pcbench.plots.lines import lines
 from pcbench.plots.palette import GRID, LOOKS, MEASURED, PLANT, SOFT, LineLook, pale
 from pcbench.recordings.survey import Survey
 from pcbench.study import scenarios_of, title_of_scenario
+from pcbench.toml_text import TomlTable
 
 ROOM = 0.35  # of the plant's range, above and below it: an estimate that goes farther leaves the picture
 BANDS = 5  # largest number of observers with bands
@@ -139,7 +140,9 @@ def _draw_states(ax: Axes, part: pd.DataFrame, look: Mapping[str, LineLook]) -> 
             is_loop = observer in look
             width, share = (LOOP_WIDTH, LOOP_PALE) if is_loop else (TRUTH_WIDTH, TRUTH_PALE)
             colour, label = look[observer]["color"] if is_loop else PLANT, f"_{series}" if is_loop else "plant"
-            ax.plot(rows.t, rows.value, color=pale(colour, share), linewidth=width, label=label, zorder=1.6)
+            dashes = look[observer]["linestyle"] if is_loop else "solid"  # the paler shade is that of a variant
+            thick: TomlTable = {"color": pale(colour, share), "linestyle": dashes, "linewidth": width, "label": label}
+            ax.plot(rows.t, rows.value, zorder=1.6, **thick)
         elif kind == "measured":
             ax.step(rows.t, rows.value, where="post", color=MEASURED, linewidth=1.0, zorder=1.5, label="measured, held")
         elif kind == "target":

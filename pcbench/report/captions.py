@@ -186,12 +186,16 @@ def time(run: pd.DataFrame, unit: str, figure: Figure, exact: frozenset[str] = f
     """Return the last values of one run, and how to read its `figure`; the errors of `exact` observers are exact over time."""
     # a user's own error has no truth
     kinds = ["truth", "estimate", "target"] if (run.kind == "truth").any() else ["error"]
-    ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.last()
+    ends = run[run.kind.isin(kinds)].groupby("series", sort=False).value.agg(lambda values: values.iloc[-1])
     text = "At the end: " + ", ".join(f"{o} {_format_value(v, unit)}" for o, v in ends.items()) + "."
     errors, with_rms = figure.axes[-1], frozenset(run.series[run.kind == "rms"])
     log, sentences = errors.get_yscale() == "log", []
     if LOOPED in keys_of(figure):
-        sentences.append("Thick lines: the plant of each observer's loop, in the observer's colour.")
+        sentences.append(
+            "Thick lines: the plant of each observer's loop, with the observer's dashes, in a paler shade."
+        )
+        if diverged := [str(o) for o in ends.index[ends.isna()] if not str(o).startswith(one_run.UNDER)]:
+            sentences.append(f"The lines of {_join(diverged)} end where the loop diverges.")
     if any(_leaves(ax) for ax in figure.axes):
         sentences.append("Values outside the range are cut off.")
     if errors.collections:

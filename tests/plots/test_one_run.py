@@ -92,3 +92,21 @@ def test_scenarios_shown_together_are_those_shown_alone():
     assert not together["cart/slow"].equals(together["cart/nominal"])
     for name, frame in together.items():
         pd.testing.assert_frame_equal(frame, one_run.frame_of(study, name, None), check_exact=True)
+
+
+@pytest.mark.ci
+def test_a_closed_loop_ends_where_it_diverges():
+    """It is frozen there, and the figure showed a plant that stood still for the rest of the run."""
+    axes = {"sampling_period": [0.8], "delay": [0.01], "noise_std": [0.0005], "parameter_drift": [0.3]}
+    raw = {"name": "t", "scenarios": ["helicopter/constant"], "observers": ["high-gain"], "axes": axes}
+    study = parse.parse(raw | {"options": {"scenario": {"random_initial_state": True}}}, "t")
+    frame = one_run.frame_of(study, "helicopter/constant", None)
+    run = frame[frame.kind.isin(["truth", "estimate", "error"])]
+    counts = run.groupby(["signal", "series", "kind"]).value.count()
+    rows = int(counts.iloc[0])
+    assert (counts == rows).all()
+    assert 1 < rows < run.groupby(["signal", "series", "kind"]).size().min()
+    sizes = run[run.kind == "error"].pivot(index="t", columns="signal", values="value").abs().max(axis=1)
+    assert (sizes.iloc[: rows - 1] <= 1e6).all()
+    assert sizes.iloc[rows - 1] > 1e6, "the line leaves the picture"
+    assert frame[frame.kind == "target"].value.notna().all()

@@ -2,6 +2,7 @@
 
 from copy import copy
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ from matplotlib.colors import to_rgb
 
 import pcbench
 from pcbench import plots
-from pcbench.plots import errors_over_time, frames, layout, one_run, palette, time_series
+from pcbench.plots import errors_over_time, frames, layout, lines, one_run, palette, time_series
 from pcbench.report import captions, figures, summary
 from pcbench.study import STUDIES
 
@@ -109,6 +110,27 @@ def test_plants_of_a_closed_loop_are_no_pale_lines(loop):
     assert time_series.LOOPED in captions.keys_of(figure)
     run = pd.DataFrame({"signal": [], "series": [], "kind": [], "t": [], "value": []})
     assert "Thick lines" in captions.time(run, "m", figure)[1]
+
+
+def test_plants_of_a_closed_loop_have_the_dashes_of_their_observers():
+    """The paler shade of an observer is that of its first variant, which the plant seemed to belong to."""
+    look = lines.lines(["high-gain", "high-gain-robust"])
+    part = [pd.DataFrame({"series": one_run.UNDER + o, "kind": "truth", "t": [0.0], "value": [0.0]}) for o in look]
+    drawn = []
+    ax = SimpleNamespace(get_ylim=lambda: (0.0, 1.0), plot=lambda *_, **line: drawn.append(line))
+    time_series._draw_states(ax, pd.concat(part), look)
+    assert [line["linestyle"] for line in drawn] == [look[o]["linestyle"] for o in look]
+
+
+@pytest.mark.ci
+def test_the_words_of_a_closed_loop_say_which_diverges(loop):
+    """Its last value stood for the end of the run."""
+    values = {"plant under kf": ("truth", 1.0), "kf": ("estimate", 2.0), "lost": ("estimate", np.nan)}
+    rows = [pd.DataFrame({"series": s, "kind": k, "t": [0.0, 1.0], "value": [1.0, v]}) for s, (k, v) in values.items()]
+    text, note = captions.time(pd.concat(rows), "m", plots.time(loop))
+    assert text == "At the end: plant under kf 1 m, kf 2 m, lost (diverged)."
+    assert "The lines of lost end where the loop diverges." in note
+    assert "diverges" not in captions.time(pd.concat(rows[:2]), "m", plots.time(loop))[1]
 
 
 @pytest.mark.ci
