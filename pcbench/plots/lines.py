@@ -32,6 +32,7 @@ from pcbench.plots.palette import SOFT, LineLook, styles
 from pcbench.statistics.consistency import BANDS
 from pcbench.toml_text import TomlTable
 
+DISTINCT = 1.4  # ratio of two ticks of a number of runs, at least
 APART = 2.2  # points of the page, between points of observers at one value that is a word
 CROSSED = ("processor_speed",)  # axes along which crossings are marked
 FEW = 5  # points that are joined by a faint line only: between them nothing was computed
@@ -142,7 +143,8 @@ def convergence(
     with sheet(paper, about(result, stats, frames.named_values(result, stats, cell))) as (figure, (ax,)):
         runs = sorted(set(part.seeds)) or [1, 2]  # each time twice as many
         set_range(ax, "x", runs, log=True)
-        ax.set_xticks(runs, [f"{n}" for n in runs])
+        ticks = [n for n in runs if n == runs[-1] or DISTINCT * n < runs[-1]]  # an observer that lost runs ends between
+        ax.set_xticks(ticks, [f"{n}" for n in ticks])
         set_range(ax, "y", 100 * part.half, log=True)
         ax.set(title=f"half 95 % interval of {title_of(metric, stats.signal.iloc[0], '')} [% of it]", xlabel="runs")
         for observer, line in lines(n for n in look if n in set(part.observer)).items():

@@ -134,6 +134,16 @@ def test_the_words_of_a_closed_loop_say_which_diverges(loop):
 
 
 @pytest.mark.ci
+def test_numbers_of_runs_on_an_axis_do_not_touch(loop, monkeypatch):
+    """Where an observer lost runs, their number stood in the place of the last one."""
+    seeds = {"kf": [4, 8, 16, 32, 64, 128, 256], "pccebo": [4, 8, 16, 32, 64, 128, 236]}
+    rows = [pd.DataFrame({"observer": o, "seeds": n, "half": 0.1}) for o, n in seeds.items()]
+    monkeypatch.setattr(lines.frames, "convergence", lambda *_: pd.concat(rows))
+    (ax,) = plots.convergence(loop).axes
+    assert ax.get_xticks().tolist() == seeds["kf"]
+
+
+@pytest.mark.ci
 def test_consistency_is_shown_over_each_axis(loop):
     """Which filter is optimistic at a grid point that the other figures do not show."""
     place = figures.ScenarioData(loop, "ncs-two-state/held", 0, None, None, figures.DEFAULTS)
