@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.plots import layout
+from pcbench.plots import frames, layout
 from pcbench.plots.labels import title_of
 from pcbench.plots.layout import PAPER, Paper, set_range, set_values, sheet
 from pcbench.plots.palette import LOOKS, SOFT, styles
@@ -30,15 +30,16 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     table = result.fair[result.fair.cell == cell]
     half = 1.96 * table.held_out_se  # of the 95 % interval
     table = table.assign(low=table.held_out - half, high=table.held_out + half)
-    look, first = styles(table.observer), table.iloc[0]
-    with sheet(paper, f"{first.scenario}, held-out runs") as (figure, (ax,)):
-        place = set_values(ax, "x", list(look))
+    look, first = styles(result.stats.observer), table.iloc[0]  # of the labels, as in the other figures
+    runs = frames.count_runs(result.stats)
+    with sheet(paper, f"{first.scenario}, {f'{runs:,} ' if runs else ''}held-out runs") as (figure, (ax,)):
+        place = set_values(ax, "x", list(dict.fromkeys(table.observer)))
         set_range(ax, "y", table[["held_out", "low", "high", "training"]].to_numpy())
         ax.set(title=title_of(first.metric, first.signal, first.unit), xlabel="observer")
         for tuning, group in table.groupby("tuning", sort=False):
             word, mark, offset = TUNINGS[str(tuning)]
             x = [place(o) + offset for o in group.observer]
-            colours = [look[o].colour for o in group.observer]
+            colours = [look[label].colour for label in group.label]
             ax.vlines(x, group.low, group.high, colors=colours, linewidth=1.3)
             ax.scatter(
                 x, group.training, facecolors="none", edgecolors=colours, marker=mark, s=62, linewidths=0.8, zorder=2

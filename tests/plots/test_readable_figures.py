@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 
 import pcbench
 from pcbench import plots
@@ -141,6 +141,20 @@ def test_numbers_of_runs_on_an_axis_do_not_touch(loop, monkeypatch):
     monkeypatch.setattr(lines.frames, "convergence", lambda *_: pd.concat(rows))
     (ax,) = plots.convergence(loop).axes
     assert ax.get_xticks().tolist() == seeds["kf"]
+
+
+@pytest.mark.ci
+def test_gains_have_the_number_of_runs_and_the_colours_of_the_other_figures(loop):
+    result = copy(loop)
+    names = ["kf-published", "kf-tuned"]
+    result.stats = pd.concat([loop.stats.assign(observer=name) for name in names])
+    row = loop.stats.iloc[0][["scenario", "signal", "unit"]].to_dict() | {"metric": "steady_rmse", "cell": 0}
+    row |= {"observer": "kf", "held_out": 1.0, "held_out_se": 0.1, "training": 1.0, "training_se": 0.1}
+    result.fair = pd.DataFrame([row | {"label": name, "tuning": name.removeprefix("kf-")} for name in names])
+    figure = plots.fair(result)
+    assert "2 held-out runs" in figure.legends[0].get_title().get_text()
+    drawn = {to_hex(c).upper() for marks in figure.axes[0].collections for c in marks.get_facecolors()}
+    assert {style.colour for style in palette.styles(names).values()} <= drawn
 
 
 @pytest.mark.ci
