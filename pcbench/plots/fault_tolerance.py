@@ -83,13 +83,14 @@ def bearing(
     words = f"{describe_metric(metric, stats.signal.iloc[0])} divided by that of {MODEL_ONLY} [-]"
     with sheet(paper, f"{words}: {about(result, stats, {})}", len(axes), columns, height=1.1) as (figure, panels):
         for ax, name in zip(panels, axes, strict=True):
-            rows = parts[parts.axis == name].sort_values("value")
+            rows = parts[parts.axis == name]
             place = set_values(ax, "x", list(dict.fromkeys(rows.value)), frames.INFINITE.get(name, "∞"))
+            rows = rows.assign(x=rows.value.map(place)).sort_values("x", kind="stable")
             set_range(ax, "y", [*parts.part, 1.0], is_positive(parts.part))
             ax.set_xlabel(frames.label(name, frames.axis_titles(result, stats)))
             ax.axhline(1.0, color=SOFT, linewidth=0.9)
             for observer, style in look.items():
                 line = rows[rows.observer == observer]
-                ax.plot(list(map(place, line.value)), line.part, label=observer, color=style.colour, linestyle=style.line,
+                ax.plot(line.x, line.part, label=observer, color=style.colour, linestyle=style.line,
                         linewidth=1.0, marker=style.marker, markersize=3.5)  # fmt: skip
     return figure

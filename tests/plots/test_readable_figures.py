@@ -219,6 +219,18 @@ def test_titles_of_axes_that_vary_alone_name_those_that_differ_from_the_first_va
     assert all("\n" not in ax.get_title("left") for ax in figure.axes)
 
 
+@pytest.mark.ci
+def test_values_with_an_infinite_one_have_the_same_order_in_all_figures():
+    """The error relative to model-only had the Gaussian noise on the right, the error itself on the left."""
+    study = {"name": "alone", "scenarios": ["cart/white"], "observers": ["kf", "model-only"], "seeds": 2}
+    result = pcbench.run(study | {"vary": "one-at-a-time", "axes": {"student_t_dof": [np.inf, 4.0, 2.5]}})
+    (ax,), (other,) = plots.bearing(result).axes, plots.curves(result, "student_t_dof").axes
+    assert [t.get_text() for t in ax.get_xticklabels()] == [t.get_text() for t in other.get_xticklabels()]
+    drawn, stats = ax.get_lines()[1], frames.rows(result, "cart/white", "position", "steady_rmse")
+    means = stats.pivot(index="cell", columns="observer", values="mean")
+    np.testing.assert_allclose(drawn.get_ydata(), means["kf"] / means["model-only"])
+
+
 def test_an_observer_that_diverges_hides_no_other():
     """On an axis up to 10^13 the errors of all others lay on its lower edge."""
     t = np.linspace(0.0, 1.0, 5)
