@@ -22,6 +22,7 @@ from pcbench.study import scenarios_of, title_of_scenario
 
 BESIDE, TALL = 2, 0.85  # panels in a row; inches of a panel
 POINTS = 60  # of a line, at most
+ARRIVALS = 80  # ticks of arrivals, at most: more of them are a bar
 FAR = 1e2  # times the largest error of the best observer: larger ones leave the picture, as of runs that diverge
 DEPTH = 1e-4  # of the largest error of the best observer: what is smaller lies at the lower edge
 DASHED = (0, (3.0, 1.6))
@@ -40,8 +41,8 @@ def error_bands(
 
     Each panel has the median and the bands of 50 and 90 % of |e| over 32 runs, from `seed` on (None: the study's first), the
     standard deviation that the observer assumes (dashed), and the arrivals of measurements in the first run (ticks at the
-    lower edge). `cell` is the number of the grid point. Raises UserError for an unknown name, grid point or seed, and if runs
-    do not differ or have their own schedules.
+    lower edge, unless they would be a bar). `cell` is the number of the grid point. Raises UserError for an unknown name, grid
+    point or seed, and if runs do not differ or have their own schedules.
     """
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
@@ -65,6 +66,7 @@ def draw_bands(
     """Draw the bands of a frame of `one_run.frame_of`."""
     part, stats = run[run.signal == signal], frames.rows(result, scenario, signal, "mae")
     arrivals = run.t[run.kind == "arrival"].to_numpy()
+    arrivals = arrivals if len(arrivals) <= ARRIVALS else arrivals[:0]
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     look = {o: line for o, line in lines(stats.observer).items() if o in set(part.series[part.kind == one_run.MEDIAN])}
     values = frames.describe_values(result, stats, cell)

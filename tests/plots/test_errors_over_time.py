@@ -55,6 +55,17 @@ def test_each_observer_has_a_panel_with_its_quantiles_and_assumed_deviation(draw
 
 
 @pytest.mark.ci
+def test_arrivals_that_would_be_a_bar_are_left_out(drawn, monkeypatch):
+    """Over samples of a millisecond they were a dark bar below the errors."""
+    result, frame, _ = drawn
+    for most, is_drawn in (((frame.kind == "arrival").sum(), True), ((frame.kind == "arrival").sum() - 1, False)):
+        monkeypatch.setattr(errors_over_time, "ARRIVALS", most)
+        figure = plots.error_bands(result)
+        assert any(t.get_text() == "arrival" for t in figure.findobj(Text)) is is_drawn
+        assert any(len(line.get_xdata()) == 0 for line in figure.axes[0].get_lines()) is not is_drawn
+
+
+@pytest.mark.ci
 def test_runs_without_noise_have_no_bands():
     result = pcbench.run(STUDY | {"scenarios": ["cart/nominal"], "options": {}})
     with pytest.raises(UserError, match="with noise on one schedule"):
