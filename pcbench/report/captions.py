@@ -4,6 +4,7 @@ For each curve: the largest value of its axis at which each observer's error is 
 study are considered; `pcbench find-limit` finds values between them.
 """
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import cast
 
@@ -23,7 +24,7 @@ from pcbench.plots.regret_matrix import Regrets
 from pcbench.plots.time_series import INTERVAL, LOOPED, SIGMA, over
 from pcbench.statistics import limit_verdicts
 from pcbench.statistics.aggregate import Row
-from pcbench.statistics.limit_verdicts import Answer
+from pcbench.statistics.limit_verdicts import Answer, Point
 from pcbench.statistics.ranking import most_often
 
 CONVERGENCE = "Half the 95 % interval divided by the mean. Four times as many runs halve it."
@@ -395,10 +396,18 @@ def describe_limit(part: pd.DataFrame, axis: str, unit: str, threshold: float | 
 
 def _words(a: Answer) -> str:
     """Return an answer in a few words."""
+    fails = f"not at {layout.word(a.exceeds.value)}{_reason([a.exceeds])}" if a.exceeds else ""
     if a.largest is None or a.kind != "up to":
-        words = {"every value": "everywhere", "no value": "nowhere", "undecided": "undecided everywhere"}
+        undecided = f"undecided, {fails}" if fails else "undecided everywhere"
+        words = {"every value": "everywhere", "no value": f"nowhere{_reason(a.points)}", "undecided": undecided}
         return words.get(a.kind, "without a number")
-    end = f"up to {layout.word(a.largest.value)}"
-    beyond = f", not at {layout.word(a.exceeds.value)}" if a.exceeds else ", undecided beyond"
-    exception = f", but not at {layout.word(a.fails_below.value)}" if a.fails_below else ""
-    return end + beyond + exception
+    exception = ""
+    if a.fails_below:
+        exception = f" (but not at {layout.word(a.fails_below.value)}{_reason([a.fails_below])})"
+    beyond = fails or ("" if a.largest == a.points[-1] else "undecided beyond")
+    return ", ".join(filter(None, [f"up to {layout.word(a.largest.value)}{exception}", beyond]))
+
+
+def _reason(points: Iterable[Point]) -> str:
+    """Return why an error does not suffice at points, if its mean does not show it."""
+    return " (runs diverge)" if all(p.verdict == limit_verdicts.DIVERGES for p in points) else ""
