@@ -234,9 +234,18 @@ def winners_note(standings: pd.DataFrame, figure: Figure, runs: int) -> str:
     sentences = [f"An observer wins a grid point if it is {better}."]
     if any("×" in text.get_text() for ax in figure.axes for text in ax.texts):
         sentences.append("The number is the error of the second divided by that of the winner.")
+    if any(text.get_text().split("\n")[-1] == times(1.0 + 1e-9) for ax in figure.axes for text in ax.texts):
+        sentences.append("1×: their errors differ by less than 0.05 %.")
     if ((standings.winner == "") & (standings.best != "")).any():
         sentences.append("Pale: the difference is not significant." if runs else "Pale: others are equal to the best.")
     return " ".join(sentences)
+
+
+def distribution_note(part: pd.DataFrame) -> str:
+    """Return how to read a distribution over runs, of rows of stats at its grid point."""
+    diverged = part.observer[part.diverged > 0].to_list()
+    curves_text = f"the curve{'s' * (len(diverged) > 1)} of {_join(diverged)}"
+    return f"Left is better.{f' Runs that diverge are missing from {curves_text}.' if diverged else ''}"
 
 
 def map_note(figure: Figure) -> str:

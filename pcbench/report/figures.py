@@ -167,7 +167,8 @@ def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
         )
     if frames.has_spread(part):
         figure, caption = plots.distributions(result, cell=cell, **selection), f"Distribution over runs: {words}"
-        yield Picture(f"{name}-distribution", caption, figure, captions.medians(part, unit), "Left is better.")
+        note = captions.distribution_note(part)
+        yield Picture(f"{name}-distribution", caption, figure, captions.medians(part, unit), note)
         text = captions.convergence(frames.convergence(result, scenario, signal, options.metric, cell))
         figure = plots.convergence(result, cell=cell, **selection)
         yield Picture(

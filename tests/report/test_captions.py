@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 from walked import STUDIES as SHORT
@@ -202,3 +203,24 @@ def test_gains_of_each_kind_have_the_ratio_of_the_largest_to_the_smallest():
     assert found.endswith("pccebo tuned 0.3 m, kf tuned 0.2 m.")
     alone = captions.fair(pd.DataFrame([row for row in rows if row["observer"] == "pccebo"]))
     assert alone == "pccebo published 0.6 m, pccebo designed 0.4 m, pccebo tuned 0.3 m."
+
+
+def test_a_winner_that_is_hardly_better_is_explained():
+    """Significant over the same runs, but a ratio of 1× beside a winner seemed to be an error."""
+    standings = pd.DataFrame({"winner": ["pio", "pio"], "best": ["pio", "pio"]})
+    for lead, is_said in (("1×", True), ("1.1×", False), ("1.002×", False), ("11×", False)):
+        figure = Figure()
+        figure.subplots().text(0, 0, f"pio\n{lead}")
+        assert (
+            "1×: their errors differ by less than 0.05 %." in captions.winners_note(standings, figure, 8)
+        ) is is_said
+
+
+def test_a_distribution_says_which_curves_have_no_diverged_runs():
+    """Their curves end below 100 %."""
+    part = pd.DataFrame({"observer": ["kf", "high-gain", "pco"], "diverged": [0, 20, 0]})
+    assert captions.distribution_note(part) == (
+        "Left is better. Runs that diverge are missing from the curve of high-gain."
+    )
+    assert captions.distribution_note(part.assign(diverged=[0, 1, 2])).endswith("the curves of high-gain and pco.")
+    assert captions.distribution_note(part.assign(diverged=0)) == "Left is better."
