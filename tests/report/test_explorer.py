@@ -428,6 +428,19 @@ def test_two_figures_stand_side_by_side_on_paper(browser, report):
 
 
 @needs_browser
+def test_notes_are_not_larger_than_the_text_on_paper(browser, report):
+    """Their size was relative to that of a screen, and the text had its own size."""
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    visit(browser, report.as_uri())
+    script = """JSON.stringify(['#summary > p', 'p.soft', 'figcaption', 'dl', 'table'].map(each =>
+        parseFloat(getComputedStyle(document.querySelector(each)).fontSize)))"""
+    text, *others = json.loads(ask(browser, script))
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert text == pytest.approx(10 * 96 / 72, abs=0.01)
+    assert max(others) < text
+
+
+@needs_browser
 def test_axis_of_the_interactive_figure_has_more_than_one_tick(browser, report):
     visit(browser, report.as_uri())
     assert all(ask(browser, f"ticks({low}, {3.5 * low}, true).length") > 2 for low in (0.024, 1.1, 1.9, 2.6, 4.2))
