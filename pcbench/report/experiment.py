@@ -26,6 +26,7 @@ from pcbench.study.plugins.user_observers import ABSENT, is_absent
 COMPARED = ("x0", *axes.AXES, "input", "unknown_input", "duration")  # fields that are compared with the publication
 MANY = 8  # rows or columns up to which matrices are printed
 LONG = 120  # letters of a value at most
+ASSUMED = "assumed process noise per tick (std)"
 
 
 class Fact(NamedTuple):
@@ -49,6 +50,8 @@ def experiment(result: Result, scenario: str) -> Experiment:
     grid_cells = cells(result.study, scenario)
     s, study_axes = grid_cells[0].scenario, result.study.axes
     facts = [fact for row in _field_rows(s) if (fact := _fact(row, grid_cells, study_axes))]
+    if all(c.scenario.belief.assumed_process_std == c.scenario.truth.process_std for c in grid_cells):
+        facts = [fact for fact in facts if fact.what != ASSUMED]
     for name, values in study_axes.items():
         if name.startswith("plant."):
             what = f"plant parameter {name.removeprefix('plant.').replace('_', ' ')}"
@@ -118,11 +121,7 @@ def _field_rows(s: Scenario) -> list[Row]:
         Row("plant", "plant", lambda name: _plant(s, name), always=True),
         Row("input", "input", _source, always=True),
         Row("controller", "loop", lambda name: f"closed by {name}"),
-        Row(
-            "control",
-            "options of the controller",
-            lambda options: ", ".join(f"{k} {_value_text(v)}" for k, v in options.items()),
-        ),
+        Row("control", "options of the controller", _each_option),
         Row("unknown_input", "unknown input", _source),
         Row("x0", "initial state x(0)", states, always=True),
         Row("xhat0", "initial estimate xhat(0)", states, always=True),
@@ -137,6 +136,8 @@ def _field_rows(s: Scenario) -> list[Row]:
         to_text = forms.get(f.form) or _by_text(f.form, f.infinite)
         field_rows.append(Row(f.name, f.title, each_row(to_text) if f.rows else to_text))
     last = [
+        Row("assumed_process_std", ASSUMED, states),
+        Row("parameters", "true parameters, if not nominal", _each_option),
         Row("delay_sine", "variation of the delays", lambda v: f"{number(v[0])} s sin({number(v[1])} t)"),
         Row("continuous", "measurements", lambda v: "continuous, without noise"),
         Row("initial_box", "random xhat(0) within", states),
@@ -205,6 +206,11 @@ def _one_source(part: Source) -> str:
         unit, pace = f" {part.unit}" if part.unit else "", f", {number(part.frequency)} Hz" if part.frequency else ""
         return f"{part.shape} of {number(part.amplitude)}{unit}{pace}"
     return f"table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
+
+
+def _each_option(options: Mapping[str, object]) -> str:
+    """Return named values in words."""
+    return ", ".join(f"{name} {_value_text(value)}" for name, value in options.items())
 
 
 def _each(values: Sequence[float | str], units: list[str]) -> str:

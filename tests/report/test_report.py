@@ -73,6 +73,27 @@ def test_experiment_shows_default_values_of_axes_in_words():
     assert facts["actuator delay"] == "0.1 s"
 
 
+def test_experiment_shows_wrong_assumptions():
+    """Scenarios that differed by them only were described alike."""
+    wrong = {"assumed_process_std": [0.0025, 0.025], "parameters": {"b": 390.5}}
+    noise = {"base": "cart/white", "process_std": [0.01, 0.1]}
+    scenarios = {"right": noise, "wrong": noise | wrong}
+    raw = {"name": "x", "scenarios": scenarios, "observers": ["kf"]}
+    study = parse.grid_of(raw, {}, []).study
+    facts = {
+        name: {f.what: f.text for f in experiment.experiment(SimpleNamespace(study=study), name).facts}
+        for name in scenarios
+    }
+    assert facts["wrong"].pop("assumed process noise per tick (std)") == "position 0.0025 m, velocity 0.025 m/s"
+    assert facts["wrong"].pop("true parameters, if not nominal") == "b 390.5"
+    assert facts["wrong"] == facts["right"]
+    raw = {"name": "x", "scenarios": ["cart/white"], "observers": ["kf"], "axes": {"process_std": [[0.01, 0.1]]}}
+    study = parse.grid_of(raw, {}, []).study
+    shown = [f.what for f in experiment.experiment(SimpleNamespace(study=study), "cart/white").facts]
+    assert "process noise per tick (std)" in shown
+    assert "assumed process noise per tick (std)" not in shown, "it is the true one"
+
+
 def test_noise_of_a_nonlinear_sensor_has_the_unit_of_its_output():
     """The report of a radar had "10, 0.003162", and an axis in the "unit of the output"."""
     study = parse.grid_of({"name": "x", "scenarios": ["coordinated-turn/radar"], "observers": ["ekf"]}, {}, []).study
