@@ -227,5 +227,6 @@ def cost(
                 s=26,
                 zorder=3,
                 label=point["observer"],
+                clip_on=False,  # an error of 0 lies on the axis
             )
     return figure

@@ -132,6 +132,9 @@ def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
     stats = pd.DataFrame(rows)
     costs = stats[["scenario", "cell", "observer"]].assign(sample=60, tick=10, memory=100)
     (ax,) = plots.cost(result_of(stats), costs, scenario="two", signal="a").axes
+    marks = [c for c in ax.collections if isinstance(c, PathCollection)]
+    assert marks
+    assert not any(mark.get_clip_on() for mark in marks), "of an error of 0 the half below the axis was missing"
     points = [each.get_offsets() for each in ax.collections if isinstance(each, PathCollection)]
     assert {float(each[0][1]) for each in points} == {5.0}
 
