@@ -209,7 +209,7 @@ def cost(
     stats = frames.rows(result, scenario, signal, metric)
     rows = stats[stats.cell == cell]
     points = rows.merge(costs[["scenario", "cell", "observer", *COSTS]], on=["scenario", "cell", "observer"])
-    points = points[points[by] > 0]  # what costs nothing has no place on a scale of factors
+    points = points[(points[by] > 0) & points["mean"].notna()]  # what costs nothing has no place on a scale of factors
     look, row = styles(points.observer), rows.iloc[0]
     with sheet(paper, about(result, rows, frames.named_values(result, stats, cell))) as (figure, (ax,)):
         wide = is_wide(points[by])

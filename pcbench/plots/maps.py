@@ -22,7 +22,7 @@ from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import about, describe_metric, times, title_of, unit_of
 from pcbench.plots.layout import PAPER, Paper, sheet
-from pcbench.plots.palette import INK, SOFT, Style, ink_on, pale, styles
+from pcbench.plots.palette import GRID, INK, SOFT, Style, ink_on, pale, styles
 from pcbench.statistics.aggregate import Row
 
 FINE = 16  # values of an axis beyond which a map is an image
@@ -90,6 +90,7 @@ def heatmaps(
     if metric == "divergence_rate":
         values, unit, colours = 100 * values, "%", LOST
         norm, title = Normalize(0, 100), "diverged runs [%]"
+        part = part[part.observer.isin(diverging(part) or part.observer)]
 
     def cell(row: Row) -> Cell:
         value = row["value"]
@@ -119,8 +120,13 @@ def divergence(
     at: dict[str, object] | None = None,
     paper: Paper = PAPER,
 ) -> Figure:
-    """Return a map over two axes of the percentage of diverged runs, for each observer."""
+    """Return a map over two axes of the percentage of diverged runs, for each observer that diverges."""
     return heatmaps(result, x, y, scenario=scenario, metric="divergence_rate", at=at, paper=paper)
+
+
+def diverging(part: pd.DataFrame) -> list[str]:
+    """Return the observers of which a run diverges, from rows of divergence rates."""
+    return list(dict.fromkeys(part.observer[part["mean"] > 0]))
 
 
 def winners(
@@ -270,7 +276,7 @@ def _fill(ax: Axes, cells: Cells, x: Side, y: Side, fine: bool) -> None:
         i, j = x.values.index(a), y.values.index(b)
         image[j, i] = to_rgb(cell.colour)
         if not fine:
-            patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor="#FFFFFF", linewidth=0.8)
+            patch = Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=cell.colour, edgecolor=GRID, linewidth=0.8)
             patch.set_gid(f"tip:{cell.tip}, {x.title} {across[i]}, {y.title} {up[j]}")
             ax.add_patch(patch)
     if fine:

@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
-from pcbench.plots import frames, layout, one_run
+from pcbench.plots import frames, layout, maps, one_run
 from pcbench.plots.calibration_curves import Floats
 from pcbench.plots.crossings import Crossing
 from pcbench.plots.labels import SAME, describe_runs, quantity, times, unit_of
@@ -253,15 +253,31 @@ def map_note(figure: Figure) -> str:
     return "Darker is worse; all maps have the same scale." if len(figure.axes) > 1 else "Darker is worse."
 
 
-def curves_note(figure: Figure, limit: str) -> str:
-    """Return how to read curves, after a sentence of `describe_limit`."""
-    return " ".join(filter(None, [limit, INTERVALS if _has_bars(figure) else ""]))
+def divergence_note(part: pd.DataFrame) -> str:
+    """Return which observers have no map of diverged runs, from rows of divergence rates."""
+    shown = maps.diverging(part)
+    rest = [observer for observer in dict.fromkeys(part.observer) if observer not in shown]
+    return f"No run of {_join(rest)} diverges." if rest else ""
 
 
-def costs_note(figure: Figure, counts: pd.DataFrame) -> str:
-    """Return how to read errors against operations, a frame of `observer_costs.frame_of`."""
+def curves_note(figure: Figure, limit: str, part: pd.DataFrame) -> str:
+    """Return how to read curves of rows of stats, after a sentence of `describe_limit`."""
+    return " ".join(filter(None, [limit, _lost(part, "has no curve"), INTERVALS if _has_bars(figure) else ""]))
+
+
+def costs_note(figure: Figure, counts: pd.DataFrame, part: pd.DataFrame) -> str:
+    """Return how to read errors against operations, a frame of `observer_costs.frame_of`, of rows of stats."""
     absent = "An observer without samples is not shown." if (counts["sample"] == 0).any() else ""
-    return " ".join(filter(None, [COSTS, absent, INTERVALS if _has_bars(figure) else ""]))
+    lost = _lost(part, "is not shown")
+    return " ".join(filter(None, [COSTS, absent, lost, INTERVALS if _has_bars(figure) else ""]))
+
+
+def _lost(part: pd.DataFrame, verb: str) -> str:
+    """Return which observers have no mean in rows of stats because every run diverges."""
+    is_lost = (part["mean"].isna() & (part.diverged > 0)).groupby(part.observer, sort=False).all()
+    names = list(is_lost.index[is_lost])
+    plural = {"has no curve": "have no curves", "is not shown": "are not shown"}[verb]
+    return f"{_join(names)} {plural if names[1:] else verb}: every run diverges." if names else ""
 
 
 def bands_note(figure: Figure) -> str:

@@ -163,7 +163,7 @@ def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
             title=f"{title} over {frames.label(axis, titles)}",
             figure=figure,
             text=captions.curve(values, axis, unit),
-            note=captions.curves_note(figure, " ".join(filter(None, [limit, changes]))),
+            note=captions.curves_note(figure, " ".join(filter(None, [limit, changes])), values),
         )
     if frames.has_spread(part):
         figure, caption = plots.distributions(result, cell=cell, **selection), f"Distribution over runs: {words}"
@@ -180,7 +180,7 @@ def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
         )
     if costs is not None and (costs["sample"] > 0).sum() > 1:
         figure = plots.cost(result, costs, cell=cell, **selection)
-        note = captions.costs_note(figure, costs)
+        note = captions.costs_note(figure, costs, part)
         yield Picture(f"{name}-cost", f"{title} against operations", figure, captions.costs(costs), note)
 
 
@@ -196,7 +196,8 @@ def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
         part = frames.fix_axes(stats, [x, y], other_values)
         titles = frames.axis_titles(result, stats)
         title = f"Diverged runs over {frames.label(x, titles)} and {frames.label(y, titles)}"
-        yield Picture(f"{name}-divergence", title, figure, captions.ranges(part.assign(mean=100 * part["mean"]), "%"))
+        text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
+        yield Picture(f"{name}-divergence", title, figure, text, captions.divergence_note(part))
     yield from _consistency(source)
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if options.seed is None else options.seed

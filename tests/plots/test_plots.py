@@ -1,10 +1,13 @@
 """Figures of a result: they show its numbers, with units, and say who wins only where that is sure."""
 
+from copy import copy
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy import stats as scipy_stats
 
@@ -163,11 +166,37 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
     result = pcbench.run(study)
     assert set(frames.standings(result).winner) == {"pccebo"}
     figure = plots.divergence(result)
-    texts = [t.get_text() for t in figure.axes[1].texts]
-    assert texts == ["100"] * 4
+    (ax,) = figure.axes
+    assert [t.get_text() for t in ax.texts] == ["100"] * 4
     drawn = frames.rows(result, None, None, "divergence_rate")
     assert captions.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
     assert any("diverged runs [%]" in text for text in outer_texts(figure))
+
+
+def test_only_observers_that_diverge_have_a_map_of_diverged_runs(result):
+    """Of seven maps six were white, without a frame."""
+    some = copy(result)
+    vars(some).pop("_by_signal", None)  # a cache
+    of_kfbo = (result.stats.metric == "divergence_rate") & (result.stats.observer == "kfbo")
+    some.stats = result.stats.assign(mean=result.stats["mean"].where(~of_kfbo, 0.5))
+    (ax,) = plots.divergence(some).axes
+    assert "kfbo" in ax.get_title("left")
+    rates = frames.rows(some, None, None, "divergence_rate")
+    others = [name for name in STUDY["observers"] if name != "kfbo"]
+    assert captions.divergence_note(rates) == f"No run of {' and '.join(others)} diverges."
+    assert captions.divergence_note(rates[rates.observer == "kfbo"]) == ""
+    assert all(to_hex(patch.get_edgecolor()) != "#ffffff" for patch in ax.patches)
+
+
+def test_observers_without_a_mean_are_named_beside_curves_and_costs():
+    """The legend had a line that was not in the figure."""
+    part = pd.DataFrame({"observer": ["kf", "no-delay"] * 2, "mean": [1.0, np.nan] * 2, "diverged": [0, 8, 1, 8]})
+    figure, counts = Figure(), pd.DataFrame({"sample": [3, 3]})
+    assert captions.curves_note(figure, "Limit.", part) == "Limit. no-delay has no curve: every run diverges."
+    assert captions.costs_note(figure, counts, part).endswith("no-delay is not shown: every run diverges.")
+    assert captions.curves_note(figure, "", part.assign(diverged=0)) == ""
+    both = part.assign(observer=["a", "b"] * 2, mean=np.nan, diverged=8)
+    assert captions.curves_note(figure, "", both) == "a and b have no curves: every run diverges."
 
 
 def test_maps_stand_on_one_scale_with_numbers_and_both_axes_named(result):
