@@ -441,6 +441,24 @@ def test_notes_are_not_larger_than_the_text_on_paper(browser, report):
 
 
 @needs_browser
+def test_notes_stay_with_their_tables_on_paper(browser, report):
+    """A note began the page after that of its table, and tables of three rows were on two pages."""
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    visit(browser, report.as_uri())
+    note = ask(browser, "getComputedStyle(document.querySelector('.data').closest('.wide').parentNode"
+                        ".querySelector('p.soft')).breakBefore")  # fmt: skip
+    tables = """JSON.stringify([...document.querySelectorAll('.data')].map(table =>
+        [table.tBodies[0].rows.length, getComputedStyle(table).breakInside]))"""
+    shapes = json.loads(ask(browser, tables))
+    long = "document.querySelector('.data').tBodies[0].innerHTML = '<tr><td>x</td></tr>'.repeat(9), getComputedStyle("
+    inside = ask(browser, f"({long}document.querySelector('.data')).breakInside)")
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert note == "avoid"
+    assert {inside for rows, inside in shapes if rows < 9} == {"avoid"}
+    assert inside == "auto", "a long table may go on"
+
+
+@needs_browser
 def test_axis_of_the_interactive_figure_has_more_than_one_tick(browser, report):
     visit(browser, report.as_uri())
     assert all(ask(browser, f"ticks({low}, {3.5 * low}, true).length") > 2 for low in (0.024, 1.1, 1.9, 2.6, 4.2))
