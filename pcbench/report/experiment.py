@@ -224,6 +224,8 @@ def _each(values: Sequence[float | str], units: list[str]) -> str:
 def _value_text(value: object) -> str:
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number(value)
+    if isinstance(value, Mapping):
+        return _each_option(value)
     return f"[{', '.join(map(_value_text, value))}]" if isinstance(value, list | tuple) else str(value)
 
 
@@ -277,4 +279,6 @@ def _word(value: object) -> str:
     if isinstance(value, list | tuple):
         text = f"[{', '.join(_word(v) for v in value)}]"
         return text if len(text) <= LONG else f"{text[: LONG - 4]} ..."
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_word(one)}" for name, one in value.items())
     return "none" if value is None else str(value)

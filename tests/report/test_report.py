@@ -94,6 +94,16 @@ def test_experiment_shows_wrong_assumptions():
     assert "assumed process noise per tick (std)" not in shown, "it is the true one"
 
 
+def test_options_by_name_are_words():
+    """They were in the braces and quotes of Python."""
+    raw = {"name": "x", "scenarios": ["flexible-joint/sampled"], "observers": ["lmi-sampled"]}
+    raw |= {"options": {"lmi-sampled": {"parameter_range": {"gravity": [-3.33, 3.33]}, "max_interval": 0.28}}}
+    result = SimpleNamespace(study=parse.grid_of(raw, {}, []).study)
+    facts = {f.what: f.text for f in experiment.experiment(result, "flexible-joint/sampled").facts}
+    assert "parameter_range gravity [-3.33, 3.33]" in facts["observers"]
+    assert {o.name: o.value for o in experiment.rows(result)}["parameter_range"] == "gravity [-3.33, 3.33]"
+
+
 def test_noise_of_a_nonlinear_sensor_has_the_unit_of_its_output():
     """The report of a radar had "10, 0.003162", and an axis in the "unit of the output"."""
     study = parse.grid_of({"name": "x", "scenarios": ["coordinated-turn/radar"], "observers": ["ekf"]}, {}, []).study
