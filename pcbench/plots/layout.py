@@ -34,6 +34,7 @@ MARGIN = 0.06  # room beyond the values at either end, of an axis' length
 TICKS = 6  # at most
 FEW = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)  # ticks of less than a decade, in which 1, 2 and 5 may be one or two
 EVEN = 1.5  # ticks whose largest step is less than so many times the least are even
+EXPONENT = re.compile(r"(?<=\))e([+-]\d+)")  # behind an interval in brackets
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 TICK = {"color": SOFT, "labelcolor": INK, "major.pad": 2, "major.size": 2.5, "major.width": 0.6}
 LOOK = {
@@ -345,6 +346,11 @@ def number(value: float) -> str:
     factor = f"{value / 10.0**power:.3g}"
     ten = f"10{str(power).translate(SUPERSCRIPT)}"
     return ten if factor == "1" else f"-{ten}" if factor == "-1" else f"{factor}·{ten}"
+
+
+def with_powers(text: str) -> str:
+    """Return the text of an interval, "(1.03 ± 0.13)e-05", with a power of ten as `number` writes it."""
+    return EXPONENT.sub(lambda found: f"·10{str(int(found[1])).translate(SUPERSCRIPT)}", text)
 
 
 def short(value: float) -> str:

@@ -21,7 +21,7 @@ from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, open_result
 from pcbench.errors import printable
 from pcbench.observers import acronyms
-from pcbench.plots import frames
+from pcbench.plots import frames, layout
 from pcbench.plots.labels import inline, with_unit
 from pcbench.report import captions, explorer, figures, headline, summary
 from pcbench.report import experiment as of_scenario
@@ -245,7 +245,7 @@ def _escape(value: object) -> object:
 
 def _unbroken(cell: str) -> Markup:
     """Return a table's cell whose line breaks only before an interval, never inside one."""
-    text = str(escape(printable(cell)))
+    text = str(escape(printable(layout.with_powers(cell))))
     for sign in ("± ", " ..", ".. ", " %"):
         text = text.replace(sign, sign.replace(" ", "&nbsp;"))
     return Markup(text)

@@ -10,6 +10,7 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
 from pcbench.plots.labels import quantity, times
+from pcbench.plots.layout import with_powers
 from pcbench.plots.palette import styles
 from pcbench.report.captions import number
 from pcbench.statistics import number_format
@@ -132,7 +133,7 @@ def _row(result: Result, ranking: Ranking) -> Row:
 def _value(rows: pd.DataFrame, unit: str) -> str:
     """Return the mean of one grid point with its interval, or the range of the means of several."""
     if rows.cell.nunique() == 1:
-        return quantity(number_format.interval(rows.iloc[0]), unit)
+        return quantity(with_powers(number_format.interval(rows.iloc[0])), unit)
     if len(rows) and np.isfinite(rows["mean"].min()):
         return quantity(f"{number(rows['mean'].min())} to {number(rows['mean'].max())}", unit)
     return "-"

@@ -94,6 +94,24 @@ def test_experiment_shows_wrong_assumptions():
     assert "assumed process noise per tick (std)" not in shown, "it is the true one"
 
 
+def test_small_numbers_of_tables_are_powers_of_ten_as_everywhere_on_the_page():
+    """A page had "(1.03 ± 0.13)e-05" in one table and "1.98·10⁻⁵" in another."""
+    assert page._unbroken("(1.03 ± 0.13)e-05") == "(1.03 ±&nbsp;0.13)·10⁻⁵"
+    assert page._unbroken("(+1.2 ± 0.3)e+12") == "(+1.2 ±&nbsp;0.3)·10¹²"
+    assert page._unbroken("pose-05, 5.02 ± 0.1") == "pose-05, 5.02 ±&nbsp;0.1"
+    row = {
+        "cell": 0,
+        "metric": "steady_rmse",
+        "mean": 1.03e-5,
+        "ci_low": 0.9e-5,
+        "ci_high": 1.16e-5,
+        "n": 9,
+        "diverged": 0,
+    }
+    row |= {"se": 6.5e-7, "method": "t"}
+    assert summary._value(pd.DataFrame([row]), "1/ft").endswith(")·10⁻⁵ 1/ft")
+
+
 def test_options_by_name_are_words():
     """They were in the braces and quotes of Python."""
     raw = {"name": "x", "scenarios": ["flexible-joint/sampled"], "observers": ["lmi-sampled"]}
