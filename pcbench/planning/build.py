@@ -165,7 +165,7 @@ def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> in
     if widths := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(widths)
     max_width = runner.HEAVY_WIDTH if plants.entry_of(cell.scenario).heavy else runner.WIDTH
-    if runs is None or cell.times.random:
+    if runs is None:
         return max_width
     return next((lanes for lanes in runner.NARROW_WIDTHS if runs <= lanes < max_width), max_width)
 

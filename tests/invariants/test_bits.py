@@ -169,19 +169,28 @@ FIVE = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]  # with ukf every call
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("base", "engine", "every"),
+    ("base", "engine", "every", "more"),
     [
-        ("cart/white", "steps", FIVE),
-        ("cart/white", "definition", FIVE),
-        ("cart/white", "steps", TWO),
-        ("ncs-two-state/held", "steps", ["kf"]),
-        pytest.param("helicopter/constant", "steps", ["ekf"], marks=pytest.mark.nightly),
-        pytest.param("camera-target/following", "steps", ["kf", "kf-ignore-delay"], marks=pytest.mark.nightly),
+        ("cart/white", "steps", FIVE, {}),
+        ("cart/white", "definition", FIVE, {}),
+        ("cart/white", "steps", TWO, {}),
+        ("cart/white", "steps", [*TWO, "kf-reprocess"], {"sampling_period": 0.02, "delay_jitter": 0.05, "loss": 0.3}),
+        ("ncs-two-state/held", "steps", ["kf"], {}),
+        pytest.param("helicopter/constant", "steps", ["ekf"], {}, marks=pytest.mark.nightly),
+        pytest.param("camera-target/following", "steps", ["kf", "kf-ignore-delay"], {}, marks=pytest.mark.nightly),
     ],
-    ids=["steps", "definition", "steps without ukf", "a loop", "a heavy loop", "a loop with late samples"],
+    ids=[
+        "steps",
+        "definition",
+        "steps without ukf",
+        "random schedules",
+        "a loop",
+        "a heavy loop",
+        "a loop with late samples",
+    ],
 )
-def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(base, engine, every):
-    scenario = {"base": base, "name": "short", "duration": 0.6, "steady_start": 0.3, "sampling_period": 0.2}
+def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(base, engine, every, more):
+    scenario = {"base": base, "name": "short", "duration": 0.6, "steady_start": 0.3, "sampling_period": 0.2, **more}
     study = {"name": "counts", "scenario": scenario, "engine": engine}
     (cell,) = parse.grid_of(study | {"observers": every}, {}, []).cells
     assert {build.width(cell, n) for n in COUNTS} == ({64} if every == FIVE else {64, 256, build.width(cell)})
