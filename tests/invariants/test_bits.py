@@ -174,7 +174,7 @@ FIVE = ["pccebo", "kfbo", "kf", "ukf", "kf-ignore-delay"]  # with ukf every call
         ("cart/white", "steps", FIVE, {}),
         ("cart/white", "definition", FIVE, {}),
         ("cart/white", "steps", TWO, {}),
-        ("cart/white", "steps", [*TWO, "kf-reprocess"], {"sampling_period": 0.02, "delay_jitter": 0.05, "loss": 0.3}),
+        ("cart/white", "steps", TWO, {"sampling_period": 0.02, "delay_jitter": 0.05, "loss": 0.3}),
         ("ncs-two-state/held", "steps", ["kf"], {}),
         pytest.param("helicopter/constant", "steps", ["ekf"], {}, marks=pytest.mark.nightly),
         pytest.param("camera-target/following", "steps", ["kf", "kf-ignore-delay"], {}, marks=pytest.mark.nightly),

@@ -3,6 +3,7 @@
 Commands are made short: what a command line does is the same, with fewer seeds, cells and rounds.
 """
 
+import re
 import shlex
 import subprocess
 from typing import NamedTuple
@@ -120,6 +121,8 @@ def shorten(words):
         return with_options(words, TUNING if on_runs else {"--budget": "2"})
     if words[0] == "find-limit":
         return with_options(words, SEARCH)
+    if words[0] == "replay":  # the ends of each axis
+        return [re.sub(r"^(axes\.\w+=\[[^,\]]+),.*(,[^,]+\])$", r"\1\2", word) for word in words]
     if words[0] != "run" or "exact" in words:
         return words
     if words[1] in STUDIES:
