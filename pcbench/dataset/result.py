@@ -70,6 +70,7 @@ class Result:
         tempdir: TemporaryDirectory[str] | None = None,
     ):
         self.study, self.out, self.cost, self._target, self._tempdir = study, out, cost, target, tempdir
+        self._opened: tuple[tuple[block_files.Block, ...], ds.Dataset] | None = None
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.gain_variants`
         self.provenance: storage.Json = close.record(target) or {}
 
@@ -181,20 +182,9 @@ class Result:
 
         A column that only some observers have, such as nees, is null for the others.
         """
-        import pyarrow.dataset as ds
-        import pyarrow.parquet as pq
-
-        scan_options = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-        parquet = ds.ParquetFileFormat(default_fragment_scan_options=scan_options)
         target, blocks = self._target, block_files.present(self._target)
-        files, base = [f"{target.root}/{block.name}" for block in blocks], f"{target.root}/runs"
         try:
-            options = {"filesystem": target.fs, "format": parquet, "partitioning": "hive", "partition_base_dir": base}
-            dataset = ds.dataset(files, **options)
-            first_files = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
-            schemas = [pq.read_schema(file, filesystem=target.fs) for file in first_files.values()]
-            if any(set(schema.names) - set(dataset.schema.names) for schema in schemas):
-                dataset = ds.dataset(files, schema=pa.unify_schemas([dataset.schema, *schemas]), **options)
+            dataset = self._open(tuple(blocks))
             return dataset.to_table(columns, filter=where).to_pandas()
         except (pa.ArrowException, OSError) as error:
             for block in blocks:
@@ -203,6 +193,25 @@ class Result:
                 f"{target.name}/runs: cannot be read ({first_sentence(error)}), expected complete blocks; see pcbench "
                 f"verify {target.name}."
             ) from None
+
+    def _open(self, blocks: "tuple[block_files.Block, ...]") -> "ds.Dataset":
+        """Return these blocks as one table on disk. The last one is kept, because its files are opened to know its columns."""
+        import pyarrow.dataset as ds
+        import pyarrow.parquet as pq
+
+        if self._opened is None or self._opened[0] != blocks:
+            scan_options = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+            parquet = ds.ParquetFileFormat(default_fragment_scan_options=scan_options)
+            target = self._target
+            files, base = [f"{target.root}/{block.name}" for block in blocks], f"{target.root}/runs"
+            options = {"filesystem": target.fs, "format": parquet, "partitioning": "hive", "partition_base_dir": base}
+            dataset = ds.dataset(files, **options)
+            first_files = {(b.scenario, b.observer): file for b, file in zip(blocks, files, strict=True)}
+            schemas = [pq.read_schema(file, filesystem=target.fs) for file in first_files.values()]
+            if any(set(schema.names) - set(dataset.schema.names) for schema in schemas):
+                dataset = ds.dataset(files, schema=pa.unify_schemas([dataset.schema, *schemas]), **options)
+            self._opened = blocks, dataset
+        return self._opened[1]
 
     def _closing_table(self, name: str) -> "pd.DataFrame":
         table = close.table(self._target, name)
