@@ -80,18 +80,30 @@ class ScenarioData(NamedTuple):
     run: pd.DataFrame | None  # over time; None: it is not stored, and its code is not loaded
     costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
     options: FigureOptions
+    is_brief: bool = False  # only the comparison of the observers, and figures over axes
 
 
 def scenario_data(
-    result: Result, scenarios: list[str], options: FigureOptions, progress: Progress = SILENT
+    result: Result,
+    scenarios: list[str],
+    options: FigureOptions,
+    progress: Progress = SILENT,
+    detailed: list[str] | None = None,
 ) -> dict[str, ScenarioData]:
-    """Return scenarios with their runs over time and operation counts; what is not stored is computed."""
+    """Return scenarios with their runs over time and operation counts; what is not stored is computed.
+
+    Scenarios that are not `detailed` (None: all are) have no runs over time, and fewer figures.
+    """
     at = {scenario: cell_of(result, scenario, options) for scenario in scenarios}
+    detailed = scenarios if detailed is None else detailed
     with thread_pools.pool(1) as threads:  # costs are counted while programs are compiled
         costs = {name: threads.submit(observer_costs.frame_of, result.study, name, result.out, at[name]) for name in at}
-        runs = one_run.of_scenarios(result.study, at, result.out, options.seed, progress)
+        shown = {name: at[name] for name in detailed}
+        runs = one_run.of_scenarios(result.study, shown, result.out, options.seed, progress)
         return {
-            name: ScenarioData(result, name, cell, runs[name], costs[name].result(), options)
+            name: ScenarioData(
+                result, name, cell, runs.get(name), costs[name].result(), options, is_brief=name not in shown
+            )
             for name, cell in at.items()
         }
 
@@ -107,7 +119,7 @@ def of_scenario(source: ScenarioData) -> Iterator[tuple[str | None, Iterator[Pic
 
 def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
     """Yield the figures of one signal of a scenario, in the order of the page."""
-    result, scenario, cell, run, costs, options = source
+    result, scenario, cell, run, costs, options, is_brief = source
     selection: TomlTable = {"scenario": scenario, "signal": signal, "metric": options.metric, "paper": options.paper}
     name = f"{title_of_scenario(result.study, scenario).replace('/', '-')}-{signal}"
     stats = frames.rows(result, scenario, signal, options.metric)
@@ -165,6 +177,8 @@ def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
             text=captions.curve(values, axis, unit),
             note=captions.curves_note(figure, " ".join(filter(None, [limit, changes])), values),
         )
+    if is_brief:
+        return
     if frames.has_spread(part):
         figure, caption = plots.distributions(result, cell=cell, **selection), f"Distribution over runs: {words}"
         note = captions.distribution_note(part)
@@ -186,7 +200,7 @@ def of_signal(source: ScenarioData, signal: str) -> Iterator[Picture]:
 
 def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
     """Yield the figures of a scenario that belong to no signal: diverged runs, filter consistency, and kinds of gains."""
-    result, scenario, cell, run, _, options = source
+    result, scenario, cell, run, _, options, is_brief = source
     name = title_of_scenario(result.study, scenario).replace("/", "-")
     stats = frames.rows(result, scenario, None, "divergence_rate")
     if result.study.vary == "all" and len(frames.varying_axes(stats)) >= 2 and (stats["mean"] > 0).any():
@@ -199,6 +213,8 @@ def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
         text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{name}-divergence", title, figure, text, captions.divergence_note(part))
     yield from _consistency(source)
+    if is_brief:
+        return
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if options.seed is None else options.seed
         figure = time_series.draw_nees(result, run, scenario, cell, seed, options.paper)
@@ -216,7 +232,7 @@ def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
 
 def _consistency(source: ScenarioData) -> Iterator[Picture]:
     """Yield the NEES of the filters over each axis, if there is any: exact moments may have no answer."""
-    result, scenario, cell, _, _, options = source
+    result, scenario, cell, _, _, options, _ = source
     stats = result.stats[(result.stats.scenario == scenario) & (result.stats.metric == NEES)]
     if not np.isfinite(stats["mean"]).any():
         return

@@ -37,7 +37,9 @@ WORDS = {
     "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
     "grid point": "one combination of the values of a study's axes",
 }
-MAX_BANDS = 4  # scenarios; with more, only the first has the size of the error over time, so that a page stays small
+# numbers of scenarios, so that a page stays small; with more, only the first
+MAX_BANDS = 4  # has the size of the error over time
+MAX_DETAILED = 12  # has runs over time, distributions, and operations
 WIDE = 1.25  # columns of the paper; wider figures come last, as each has its own row
 PER_ROW = 2  # figures of a row; if there are more and all are narrow, they are in columns, without a half-empty row
 HEADLINE = "-ratios"  # end of the name of the first figure of the page, of the first scenario
@@ -92,15 +94,17 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
     rows, tallies = summary.rows(result, rankings), summary.tally(rankings)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     anchors = {name: f"scenario-{i}" for i, name in enumerate(names)}
-    data = figures.scenario_data(result, names, options, progress)
+    detailed = names if len(names) <= MAX_DETAILED else names[:1]
+    data = figures.scenario_data(result, names, options, progress, detailed)
     progress.begin("scenarios", len(names))
     sections = list[Section]()
     for name, anchor in anchors.items():
         sections.append(_section(data[name], anchor, bands=len(anchors) <= MAX_BANDS or not sections))
         progress.step(1)
     for picture in sections[0].parts[0].pictures if len(anchors) > MAX_BANDS else ():
-        if picture["name"].endswith("-bands"):
-            picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
+        if picture["name"].endswith("-bands" if detailed == names else "-ratios"):
+            what = "Figures" if detailed == names else "More figures"
+            picture["note"] += f" {what} of the other scenarios: pcbench report RESULTS --figures FOLDER."
     pictures = (part.pictures for section in sections for part in section.parts)
     headline_figure = next((group.pop(0) for group in pictures if group and group[0]["name"].endswith(HEADLINE)), None)
     wide = WIDE * options.paper.width

@@ -147,6 +147,20 @@ def test_page_of_many_scenarios_and_observers_is_small():
 
 
 @pytest.mark.ci
+def test_page_of_very_many_scenarios_has_details_of_the_first_only(results, monkeypatch):
+    """The page of `all` was twice as large as a page may be, and took ten minutes, most of them for runs over time."""
+    result = results("white")
+    assert len(result.scenarios) == 2
+    whole = page.page(result)
+    monkeypatch.setattr(page, "MAX_DETAILED", 1)
+    brief = page.page(result)
+    assert whole.count("<h4>One run over time</h4>") == 2 * brief.count("<h4>One run over time</h4>") > 0
+    assert brief.count(" relative to the best</h4>") == whole.count(" relative to the best</h4>")
+    assert brief.count("More figures of the other scenarios: pcbench report RESULTS --figures FOLDER.") == 1
+    assert "More figures" not in whole
+
+
+@pytest.mark.ci
 def test_pages_of_exact_values_and_of_one_observer_have_no_tests(results):
     exact, alone = (
         re.sub(r"<script.*?</script>|<style.*?</style>", "", page.page(results(name)), flags=re.S)
