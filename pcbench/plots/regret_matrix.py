@@ -1,7 +1,8 @@
-"""Regret matrix: the error of each observer in each situation, divided by the least error of that situation.
+"""Regret matrix: the error of each observer in each situation, divided by that of the situation's best.
 
-A situation is a scenario at a grid point. Those whose least error is 0 are left out. The least errors are the last row: how
-much a wrong assumption costs shows only there, as the ratios of each column begin at 1.
+A situation is a scenario at a grid point. Its best has the fewest diverged runs and then the least error, as in tables, so a
+ratio is below 1 if an observer that diverges more often has less error in its other runs. Situations in which the error of the
+best is 0 are left out. The errors of the best are the last row: how much a wrong assumption costs shows only there.
 """
 
 from collections.abc import Mapping
@@ -22,20 +23,25 @@ from pcbench.errors import UserError
 from pcbench.plots import frames, layout
 from pcbench.plots.labels import describe_metric, describe_runs, unit_of, with_unit
 from pcbench.plots.layout import PAPER, Paper, sheet
+from pcbench.plots.maps import LOST
 from pcbench.plots.palette import GRID, SOFT, ink_on
 from pcbench.statistics.aggregate import Row
 from pcbench.statistics.number_format import ROUNDING
+from pcbench.statistics.ranking import diverges_more
 from pcbench.study import title_of_scenario
 
 COLUMNS = 16  # situations side by side
 MOST = 48  # situations; of more there is no matrix
 ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, of the margin
+SECOND = 0.11  # inches that a row with shares of diverged runs is higher
 LINE, SEPARATOR = 1.45, " | "  # between lines of labels [heights of letters]; between words of one
 DARKEST = 10.0  # at least the ratio with the darkest colour
-SMALL = 0.01  # a least error below it is written with a power of ten
+SMALL = 0.01  # an error below it is written with a power of ten
 HATCH = "#C4C4C499"  # of cells that are not significant
+DIVERGED = " diverged"
 KEYS = (1.0, 2.0, 5.0, 10.0, 100.0)
 COLOURS = LinearSegmentedColormap.from_list("regrets", ["#FFFFFF", "#A9C1DA", "#5A88B8", "#1B4674"])
+DIVERGING = to_hex(LOST(1.0))  # of cells whose observer diverges significantly more often than the best
 
 
 class Level(NamedTuple):
@@ -54,15 +60,16 @@ class Level(NamedTuple):
 class Regrets(NamedTuple):
     """The regrets of observers in situations."""
 
-    # situation, scenario, signal, cell, observer, ratio (inf: diverged), best, worse (significantly)
+    # situation, scenario, signal, cell, observer, ratio (inf: every run diverged), best, worse (significantly),
+    # diverged (share), more (diverges significantly more often than the best)
     rows: pd.DataFrame
-    observers: list[str]  # in order of their largest ratio
+    observers: list[str]  # in order of their worst case
     situations: list[str]
     runs: int  # 0: exact
     signals: list[str]
     levels: list[Level]  # of the labels of the columns, the outermost first
-    least: dict[str, float]  # the least error of each situation
-    unit: str  # of the least errors; empty: their units differ
+    least: dict[str, float]  # the error of the best of each situation
+    unit: str  # of the errors of the best; empty: their units differ
 
     @property
     def ties(self) -> pd.Series:
@@ -78,6 +85,16 @@ class Regrets(NamedTuple):
     def largest(self) -> dict[str, float]:
         """Return the largest ratio of each observer."""
         return {o: float(self.rows.ratio[self.rows.observer == o].max()) for o in self.observers}
+
+    @property
+    def penalised(self) -> pd.Series:
+        """Return the ratios at least 1, and infinite where an observer diverges significantly more often than the best."""
+        return self.rows.ratio.clip(lower=1.0).where(~self.rows.more.astype(bool), inf)
+
+    @property
+    def worst(self) -> dict[str, float]:
+        """Return the largest penalised ratio of each observer."""
+        return {o: float(self.penalised[self.rows.observer == o].max()) for o in self.observers}
 
 
 def regrets_of(
@@ -96,7 +113,8 @@ def regrets_of(
             equal = zip(standings.cell, standings.leaders, standings.alike, strict=True)
             leaders = {cell: {*leader_names, *alike} for cell, leader_names, alike in equal}
             best = dict(zip(standings.cell, standings.best, strict=True))
-            least = part.cell.map(part[["cell", "mean"]].groupby("cell")["mean"].min())
+            errors = standings.set_index("cell")["mean"]  # of the best
+            least = part.cell.map(errors.fillna(part.groupby("cell")["mean"].min()))
             titles = frames.axis_titles(result, part)
             names = {cell: _situation(result, part, cell, titles) for cell in best}
             points |= {name: (scenario, cell) for cell, name in names.items()}
@@ -109,6 +127,10 @@ def regrets_of(
             rows["worse"] = [
                 o not in leaders[c] and o != best[c] for o, c in zip(part.observer, part.cell, strict=True)
             ]
+            rows["diverged"] = (part.diverged / (part.n + part.diverged).clip(lower=1)).to_numpy()
+            records = cast(list[Row], part.to_dict("records"))
+            first = {row["cell"]: row for row in records if row["observer"] == best[row["cell"]]}
+            rows["more"] = [row["cell"] in first and diverges_more(first[row["cell"]], row) for row in records]
             parts.append(rows[(least > ROUNDING).to_numpy()])
             signal_names[signal] = None
             runs = max(runs, frames.count_runs(part))
@@ -128,8 +150,8 @@ def regrets_of(
         least={name: lowest[name] for name in situations},
         unit=units.pop() if len(units) == 1 else "",
     )
-    largest = matrix.largest
-    return matrix._replace(observers=sorted(observers, key=lambda o: largest[o]))
+    worst = matrix.worst
+    return matrix._replace(observers=sorted(observers, key=lambda o: worst[o]))
 
 
 def _situation(result: Result, part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
@@ -166,11 +188,13 @@ def _common_prefix(names: list[str]) -> str:
 def regrets(
     result: Result, *, metric: str = frames.METRIC, signals: list[str] | None = None, paper: Paper = PAPER
 ) -> Figure:
-    """Return a matrix of observers and situations: the error divided by the least error of the situation.
+    """Return a matrix of observers and situations: the error divided by that of the situation's best.
 
-    A situation is a scenario at a grid point; `signals` selects their signals (None: the first main signal of each). Rows are
-    in order of their largest ratio. Hatched: not significantly worse than the best (paired t-test, Holm, 5 %). Raises
-    UserError for an unknown name, and if the study has fewer than two situations or observers.
+    A situation is a scenario at a grid point; `signals` selects their signals (None: the first main signal of each). The best
+    has the fewest diverged runs and then the least error. Rows are in order of their worst case, in which an observer that
+    diverges significantly more often than the best is worse than any that does not. Hatched: not significantly worse than the
+    best (paired t-test, Holm, 5 %). Below a ratio: the share of runs that diverged, if any did. Raises UserError for an unknown
+    name, and if the study has fewer than two situations or observers.
     """
     matrix = regrets_of(result, metric, signals, None)
     if matrix is None:
@@ -187,11 +211,17 @@ def regrets(
     parts = [range(i, min(i + columns, n_situations)) for i in range(0, n_situations, columns)]
     power, least = _scale_errors(list(matrix.least.values()))
     unit = f"{layout.number(10.0**power)} {matrix.unit}".strip() if power else matrix.unit
-    rows = [*matrix.observers, *([with_unit("least", unit)] if matrix.unit else [])]
+    rows = [*matrix.observers, *([with_unit("best", unit)] if matrix.unit else [])]
     observers = max(paper.width_of(name, 1) for name in rows)
     names = max(observers, *(paper.width_of(level.name, 1) for level in matrix.levels))
     narrow = max([CELL, *(paper.width_of(word, 2) + 0.6 * paper.em for word in least if matrix.unit)])
     cell = max(narrow, _cell_width(matrix.levels, parts, paper))
+    shares = matrix.rows.diverged[np.isfinite(matrix.rows.ratio)]
+    has_shares = bool((shares > 0).any())
+    if has_shares:
+        words = max(paper.width_of(format_share(share), 3) for share in shares) + 0.6 * paper.em
+        cell = max(cell, words if names + words * columns + BESIDE <= paper.full else 0.0)
+    row_height = ROW + SECOND * has_shares
     upright = names + cell * columns + BESIDE > paper.full
     if upright:
         names, cell = observers, narrow
@@ -201,23 +231,32 @@ def regrets(
     test = " (paired t-test, Holm, 5 %)" if matrix.runs > 1 else ""
     subject = describe_metric(result.ranks(metric), " or ".join(matrix.signals))
     titles = [level.name for level in matrix.levels if level.name and upright]
-    parts_of_title = [f"{subject} / least of the column [-]", _common_title(result, matrix), describe_runs(matrix.runs)]
+    parts_of_title = [
+        f"{subject} / that of the column's best [-]",
+        _common_title(result, matrix),
+        describe_runs(matrix.runs),
+    ]
     parts_of_title += [f"hatched: {matrix.tie}{test}"] * bool(matrix.ties.any())
+    parts_of_title += ["below a ratio: diverged runs"] * has_shares
     parts_of_title += [f"columns: {SEPARATOR.join(titles)}"] if titles else []
     keys = [Patch(facecolor=COLOURS(norm(v)), edgecolor=SOFT, linewidth=0.4, label=f"{layout.number(v)}")
             for v in KEYS if v <= darkest]  # fmt: skip
     if matrix.ties.any():
         keys.append(Patch(facecolor="white", edgecolor=SOFT, hatch="/////", linewidth=0.0, label=matrix.tie))
+    if matrix.rows.more.any():
+        keys.append(
+            Patch(facecolor=DIVERGING, edgecolor=SOFT, linewidth=0.4, label="diverges significantly more often")
+        )
     with sheet(
         paper,
         ", ".join(parts_of_title),
         panels,
-        height=ROW * len(rows) + below,
+        height=row_height * len(rows) + below,
         width=max(paper.width, min(paper.full, names + cell * columns + BESIDE)),
         keys=keys,
     ) as (figure, axes):
         for ax, part in zip(axes, parts, strict=True):
-            _draw_panel(ax, matrix, part, norm, paper)
+            _draw_panel(ax, matrix, part, norm, paper, cell)
             ax.set(ylim=(len(rows) - 0.5, -0.5))
             ax.set_yticks(range(len(rows)), rows)
             for x, i in enumerate(part if matrix.unit else ()):
@@ -253,7 +292,8 @@ def _labels(levels: list[Level]) -> list[str]:
     return [SEPARATOR.join(words) for words in zip(*(level.words for level in levels), strict=True)]
 
 
-def _draw_panel(ax: Axes, matrix: Regrets, columns: range, norm: LogNorm, paper: Paper) -> None:
+def _draw_panel(ax: Axes, matrix: Regrets, columns: range, norm: LogNorm, paper: Paper, width: float) -> None:
+    """Draw the cells of some columns, `width` inches each."""
     situations = [matrix.situations[i] for i in columns]
     ax.set(xlim=(-0.5, len(situations) - 0.5))
     ax.set_xticks([])
@@ -262,16 +302,22 @@ def _draw_panel(ax: Axes, matrix: Regrets, columns: range, norm: LogNorm, paper:
     ax.tick_params(length=0)
     for row in cast(list[Row], matrix.rows[matrix.rows.situation.isin(situations)].to_dict("records")):
         x, y = situations.index(row["situation"]), matrix.observers.index(row["observer"])
-        colour = to_hex(COLOURS(norm(row["ratio"]) if isfinite(row["ratio"]) else 1.0))
+        colour = DIVERGING if row["more"] else to_hex(COLOURS(norm(row["ratio"]) if isfinite(row["ratio"]) else 1.0))
         ties = not (row["best"] or row["worse"])
         patch = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor=GRID, linewidth=0.6)
-        text = format_ratio(row["ratio"])
-        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {text}{f', {matrix.tie}' if ties else ''}")
+        text, share = format_ratio(row["ratio"]), format_share(row["diverged"]) if isfinite(row["ratio"]) else ""
+        tip = ", ".join(filter(None, [text, share, matrix.tie if ties else ""]))
+        patch.set_gid(f"tip:{row['observer']}, {row['situation']}: {tip}")
         ax.add_patch(patch)
         if ties:
             ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=HATCH, hatch="/////", linewidth=0.0))
-        ax.text(x, y, text, ha="center", va="center", fontsize=paper.size - 2, color=ink_on(colour), in_layout=False,
-                fontweight="bold" if row["best"] else "normal")  # fmt: skip
+        ax.text(x, y - 0.18 * bool(share), text, ha="center", va="center", fontsize=paper.size - 2, color=ink_on(colour),
+                in_layout=False, fontweight="bold" if row["best"] else "normal")  # fmt: skip
+        if share and paper.width_of(share, 3) > width:
+            share = share.removesuffix(DIVERGED)
+        if share:
+            ax.text(x, y + 0.24, share, ha="center", va="center", fontsize=paper.size - 3, color=ink_on(colour),
+                    in_layout=False)  # fmt: skip
 
 
 def _draw_levels(ax: Axes, levels: list[Level], columns: range, paper: Paper) -> None:
@@ -303,5 +349,10 @@ def format_ratio(ratio: float) -> str:
     if not isfinite(ratio):
         return "∞"
     if ratio < 1.095:
-        return f"{ratio:.2f}" if ratio >= 1.005 else "1"
+        return f"{ratio:.2f}" if ratio >= 1.005 else "1" if ratio > 0.995 else layout.number(float(f"{ratio:.2g}"))
     return f"{ratio:.2g}" if ratio < 99.5 else layout.number(float(f"{ratio:.2g}"))
+
+
+def format_share(share: float) -> str:
+    """Return a share of diverged runs in words; empty if there are none."""
+    return f"{100 * share:.2g} %{DIVERGED}" if share else ""

@@ -89,35 +89,41 @@ def scenarios(table: pd.DataFrame) -> str:
 
 
 def regrets(matrix: Regrets) -> tuple[str, str]:
-    """Return two texts: the largest ratios and the least errors; and which observer has the smallest worst ratio."""
-    largest = matrix.largest
+    """Return two texts: the largest ratios, shares and errors of the best; and which observer has the smallest worst case."""
+    largest, worst, rows = matrix.largest, matrix.worst, matrix.rows
     text = f"Largest ratios: {', '.join(f'{o} {times(v)}' for o, v in largest.items())}."
+    shares = rows.groupby("observer", sort=False).diverged.max().loc[matrix.observers]
+    if (shares > 0).any():
+        shares_text = ", ".join(f"{o} {100 * share:.3g} %" for o, share in shares.items() if share)
+        text += f" Largest shares of diverged runs: {shares_text}."
     if matrix.unit:
-        text += f" Least errors: {', '.join(f'{s} {_format_value(v, matrix.unit)}' for s, v in matrix.least.items())}."
+        errors = ", ".join(f"{s} {_format_value(v, matrix.unit)}" for s, v in matrix.least.items())
+        text += f" Errors of the best: {errors}."
     first, method = matrix.observers[0], describe_runs(matrix.runs)
     if matrix.ties.any():
         test = " by the paired t-test with Holm's correction at 5 %" if matrix.runs > 1 else ""
         method += f", hatched: {matrix.tie}{test}"
-    if not np.isfinite(largest[first]):
-        return text, f"Each observer diverges in a situation ({method})."
     situations = f"{len(matrix.situations)} situations"
-    if not all(map(np.isfinite, largest.values())):
+    if not np.isfinite(rows.ratio).all():
         method += "; ∞: every run diverged" if matrix.runs else "; ∞: the expected value is infinite"
-    if largest[first] < SAME:
-        leaders = [observer for observer in matrix.observers if largest[observer] < SAME]
-        verb = "have" if leaders[1:] else "has"
-        note = f"{_join(leaders)} {verb} the least error, or one as good, in all {situations} ({method})."
+    less_error = rows[rows.ratio < 1 / SAME]  # than the best, which diverges less often
+    if not np.isfinite(worst[first]):
+        more = "significantly more often than the best " if rows.more.any() else ""
+        note = f"Each observer diverges {more}in a situation ({method})."
+    elif worst[first] < SAME:
+        leaders = [observer for observer in matrix.observers if worst[observer] < SAME]
+        verb, other = ("are", "have") if leaders[1:] else ("is", "has")
+        note = f"{_join(leaders)} {other} the least error, or one as good, in all {situations} ({method})."
+        if len(less_error):
+            note = f"{_join(leaders)} {verb} the best, or as good as the best, in all {situations} ({method})."
     else:
-        worst = f"at most {times(largest[first])} the least error in {situations}"
-        note = f"{first} has the smallest worst case: its error is {worst} ({method})."
-    rows = matrix.rows[(matrix.rows.ratio < SAME) & matrix.rows.worse]  # least error, but not among the best
-    if (matrix.rows.best & (matrix.rows.ratio > SAME)).any():
-        note += " Bold: the best, which has the fewest diverged runs."
-    for observer, group in rows.groupby("observer", sort=False):
-        note += (
-            f" Errors are of runs that do not diverge: {observer} diverges significantly more often in "
-            f"{len(group)} of the situations."
-        )
+        bound = f"at most {times(worst[first])} that of the best in {situations}"
+        note = f"{first} has the smallest worst case: its error is {bound} ({method})."
+    if len(less_error):
+        note += " Bold: the best, which has the fewest diverged runs. Errors are of runs that do not diverge."
+    for observer, group in less_error[less_error.more].groupby("observer", sort=False):
+        count = f"{len(group)} of the situations"
+        note += f" {observer} has less error in {count}, but diverges significantly more often."
     return text, note
 
 

@@ -232,4 +232,5 @@ def test_less_error_with_more_diverged_runs_is_explained():
     two = study_of(2, ekf=[1.0, 1.0], ukf=[0.5, 2.0])
     two.stats.loc[two.stats.observer == "ukf", "diverged"] = 2
     _, note = captions.regrets(regrets_of(two, "steady_rmse", None))
+    assert note.startswith("ekf is the best, or as good as the best, in all 2 situations"), "ukf has less error in one"
     assert "Bold: the best, which has the fewest diverged runs." in note
