@@ -1,7 +1,8 @@
 """Performance profiles over situations, and how stable the ranks of observers are over runs.
 
 The profile of an observer is the share of situations (scenarios at grid points) in which its error is at most a factor times
-the least error. Source: Dolan, More, Math. Program. 91 (2002), 201-213. The probability of a rank comes from a paired
+that of the best. If it diverges significantly more often than the best, it is within no factor. Source: Dolan, More, Math.
+Program. 91 (2002), 201-213. The probability of a rank comes from a paired
 bootstrap: runs are drawn with replacement, the same for all observers, and observers are ranked again by fewest diverged
 runs, then by the mean. Equal observers share the better rank.
 """
@@ -70,7 +71,7 @@ def rank_shares(values: Floats, counts: Floats) -> Floats:
 
 def shares_within(matrix: Regrets, observer: str) -> tuple[Floats, Floats]:
     """Return ascending factors, and the share of situations in which an observer's error is within them."""
-    ratios = matrix.rows.ratio[matrix.rows.observer == observer].to_numpy(float)
+    ratios = matrix.penalised[matrix.rows.observer == observer].to_numpy(float)
     factors = np.sort(ratios[np.isfinite(ratios)])
     return factors, np.arange(1, len(factors) + 1) / len(matrix.situations)
 
@@ -80,7 +81,7 @@ def profiles(
 ) -> Figure:
     """Return the performance profile of each observer, and the probability of each of its ranks.
 
-    Above: the share of situations (scenarios at grid points) in which the error is within a factor of the least error; higher
+    Above: the share of situations (scenarios at grid points) in which the error is within a factor of that of the best; higher
     is better. Below, unless the result is exact: the probability of each rank, by a paired bootstrap over runs, as a mean over
     situations. `signals` selects the signals (None: the first main signal of each scenario). Raises UserError for an unknown
     name, and if the study has fewer than two situations or observers, or more than 48 situations.
@@ -97,7 +98,7 @@ def profiles(
     title = f"{subject} [-]: {result.study.name}, {len(matrix.situations)} situations, {describe_runs(matrix.runs)}"
     title += f", ranks by a paired bootstrap ({REPEATS:,} draws)" if has_ranks else ""
     ranks = len(probabilities.columns)
-    largest = matrix.rows.ratio[np.isfinite(matrix.rows.ratio)].max()
+    largest = matrix.penalised[np.isfinite(matrix.penalised)].max()
     height = max(1.3, ROW * len(probabilities)) if has_ranks else 1.5
     with sheet(paper, title, 1 + has_ranks, height=height) as (figure, axes):
         ax = axes[0]
@@ -105,7 +106,7 @@ def profiles(
         ax.set_xlim(left=1.0)
         set_limits(ax, "y", 0.0, 1.02)
         ax.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
-        ax.set(title="share of situations within the factor", xlabel="factor of the least error")
+        ax.set(title="share of situations within the factor", xlabel="factor of the error of the best")
         for observer, line in lines(matrix.observers).items():
             factors, shares = shares_within(matrix, observer)
             ax.step(

@@ -294,14 +294,16 @@ def bands_note(figure: Figure) -> str:
     return f"Median, 50 % and 90 % of the errors of {one_run.RUNS} runs{sigma_note if has_sigma else ''}.{range_note}"
 
 
-def profiles_note(figure: Figure) -> str:
+def profiles_note(figure: Figure, matrix: Regrets) -> str:
     """Return how to read performance profiles."""
+    diverging = "An observer that diverges significantly more often than the best is within no factor."
+    sentences = [diverging] * bool(matrix.rows.more.any())
     if len(figure.axes) == 1:
-        return "Higher is better."
+        return " ".join(["Higher is better.", *sentences])
     ranks_text = (
         "a long bar below is a rank that new runs would not change (paired bootstrap over runs, mean over situations)"
     )
-    return f"Higher is better above; {ranks_text}."
+    return " ".join([f"Higher is better above; {ranks_text}.", *sentences])
 
 
 def consistency_note(run: pd.DataFrame) -> str:
@@ -330,14 +332,13 @@ def calibration(transforms: dict[str, Floats]) -> str:
 
 
 def profiles(matrix: Regrets) -> str:
-    """Return the share of situations in which each observer's error is within twice the least."""
+    """Return the share of situations in which each observer's error is within twice that of the best."""
     shares = {
-        o: (matrix.rows.ratio[matrix.rows.observer == o] <= TIMES).sum() / len(matrix.situations)
+        o: (matrix.penalised[matrix.rows.observer == o] <= TIMES).sum() / len(matrix.situations)
         for o in matrix.observers
     }
-    return (
-        f"Within twice the least error: {', '.join(f'{o} {100 * v:.3g} %' for o, v in shares.items())} of situations."
-    )
+    shares_text = ", ".join(f"{o} {100 * v:.3g} %" for o, v in shares.items())
+    return f"Within twice the error of the best: {shares_text} of situations."
 
 
 def consistency(run: pd.DataFrame) -> str:

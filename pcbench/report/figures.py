@@ -260,7 +260,7 @@ def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
             "Performance profile and ranks",
             figure,
             captions.profiles(matrix),
-            captions.profiles_note(figure),
+            captions.profiles_note(figure, matrix),
         )
     elif len(result.scenarios) > 1 and result.stats.observer.nunique() == 1:
         yield from _scenario_errors(result, options)
