@@ -14,10 +14,11 @@ from pcbench.plots.layout import with_powers
 from pcbench.plots.palette import styles
 from pcbench.report.captions import number
 from pcbench.statistics import number_format
-from pcbench.statistics.ranking import most_often
+from pcbench.statistics.ranking import by_cell, diverges_more, most_often
 from pcbench.study import title_of_scenario
 
 MOST = 7  # largest number of ratios in a row
+MORE = "diverges more often"  # instead of a ratio, as in tables
 LOOP = "steady_tracking_rmse"  # of a closed loop: shows whether it settles, which errors of estimates do not
 MIN_P = 1e-3  # a p-value below it is written as "p < 0.001"
 
@@ -102,17 +103,17 @@ def _row(result: Result, ranking: Ranking) -> Row:
     scenario, signal, part, standings = ranking
     look, has_several = styles(part.observer), len(standings) > 1
     wins = standings.winner[standings.winner != ""].value_counts()
-    multiples = _multiples(part)
+    multiples = _multiples(part, standings)
     best = str(standings.best.iloc[0])
     if has_several:  # of equally many cells the least error decides
-        best = next((o for o, _ in multiples if wins.get(o, 0) == wins.max()), "") if len(wins) else ""
+        best = next((o for o, *_ in multiples if wins.get(o, 0) == wins.max()), "") if len(wins) else ""
     deterministic = not frames.has_spread(part) and not result.exact
     lead = np.nanmedian(standings.factor) if standings.factor.notna().any() else np.nan
     leaders = [best] if has_several and best else most_often(standings.leaders)[0]
     unit, best_rows = part.unit.iloc[0], part[part.observer.isin([best] if best else leaders)]
     loop = result.stats_of(scenario, signal)
     loop = loop[(loop.metric == LOOP) & loop.observer.isin(best_rows.observer)]
-    others = [(o, m) for o, m in multiples if multiples[1:] and (has_several or o != best)]
+    others = [(o, look[o].colour, words) for o, _, words in multiples if multiples[1:] and (has_several or o != best)]
     significance = "one observer"
     if multiples[1:]:
         significance = _significance(standings, wins, best, deterministic, frames.count_runs(part))
@@ -125,7 +126,7 @@ def _row(result: Result, ranking: Ranking) -> Row:
         significance=significance,
         value=_value(best_rows, unit),
         loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
-        ratios=[(o, look[o].colour, times(m)) for o, m in others][:MOST],
+        ratios=others[:MOST],
         score=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
     )
 
@@ -168,13 +169,24 @@ def _significance(standings: pd.DataFrame, wins: pd.Series, best: str, determini
     return number_format.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 
-def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
-    """Return each observer with its mean divided by that of the cell's best, the median over cells, the least first."""
+def _multiples(part: pd.DataFrame, standings: pd.DataFrame) -> list[tuple[str, float, str]]:
+    """Return each observer with its mean divided by that of the cell's best, as number and in words, the least first.
+
+    The number is the median over cells. It is infinite in a cell in which the observer diverges significantly more often than
+    the best.
+    """
     wide = part.pivot(index="cell", columns="observer", values="mean")
-    least, out = wide.min(axis=1), []
+    least, out = standings.set_index("cell")["mean"].reindex(wide.index).fillna(wide.min(axis=1)), []
+    cells, best = by_cell(part), dict(zip(standings.cell, standings.best, strict=True))
+    more = set[tuple[str, int]]()
+    for cell, rows in cells.items():
+        first = next((row for row in rows if row["observer"] == best[cell]), None)
+        more |= {(row["observer"], cell) for row in rows if first and diverges_more(first, row)}
     for observer in dict.fromkeys(part.observer):
-        mean = wide[observer].fillna(np.inf)
+        diverges = np.array([(observer, cell) in more for cell in wide.index])
+        mean = wide[observer].fillna(np.inf).mask(diverges, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(least > 0, mean / least, np.where(mean > 0, np.inf, 1.0))
-        out.append((observer, float(np.median(ratio[least.notna()])) if least.notna().any() else np.inf))
-    return sorted(out, key=lambda pair: pair[1])
+        median = float(np.median(ratio[least.notna()])) if least.notna().any() else np.inf
+        out.append((observer, median, MORE if np.isinf(median) and diverges.any() else times(median)))
+    return sorted(out, key=lambda entry: entry[1])

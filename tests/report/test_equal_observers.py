@@ -234,3 +234,17 @@ def test_less_error_with_more_diverged_runs_is_explained():
     _, note = captions.regrets(regrets_of(two, "steady_rmse", None))
     assert note.startswith("ekf is the best, or as good as the best, in all 2 situations"), "ukf has less error in one"
     assert "Bold: the best, which has the fewest diverged runs." in note
+
+
+def test_summary_divides_by_the_error_of_the_best():
+    """Of a falling body, the row of the best, ekf, had "ukf 1x, ekf 1.9x": 34 % of the runs of ukf diverge."""
+    result = study_of(1, ekf=[1.0], ukf=[0.5], kf=[2.0])
+    of_ukf = result.stats.observer == "ukf"
+    result.stats.loc[of_ukf, ["n", "diverged"]] = 40, 24
+    (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+    assert [name for name, _ in row.best] == ["ekf"]
+    assert [(name, words) for name, _, words in row.ratios] == [("kf", "2×"), ("ukf", "diverges more often")]
+    result = study_of(1, ekf=[1.0], ukf=[0.5], kf=[2.0])
+    result.stats.loc[result.stats.observer == "ukf", "diverged"] = 2
+    (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+    assert [words for name, _, words in row.ratios if name == "ukf"] == ["0.5×"], "not significantly more often"
