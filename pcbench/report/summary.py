@@ -34,7 +34,8 @@ class Row(NamedTuple):
     significance: str  # in words
     value: str  # its metric with interval
     loop: str  # its error of tracking with interval; empty: there is no loop with a set point, or that is its metric
-    ratios: list[tuple[str, str, str]]  # name, colour, how many times larger
+    ratios: list[tuple[str, str, str]]  # name, colour, how many times larger; of at most MOST observers
+    n_more: int  # observers whose ratio is not shown
     score: float  # rows are in order of it, the largest first
 
 
@@ -127,6 +128,7 @@ def _row(result: Result, ranking: Ranking) -> Row:
         value=_value(best_rows, unit),
         loop="" if part.metric.iloc[0] == LOOP or loop.empty else _value(loop, unit),
         ratios=others[:MOST],
+        n_more=max(len(others) - MOST, 0),
         score=(0 if deterministic else 100) + (50 if len(wins) else 0) + (min(np.log(lead), 40.0) if lead > 0 else 0.0),
     )
 

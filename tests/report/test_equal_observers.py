@@ -248,3 +248,11 @@ def test_summary_divides_by_the_error_of_the_best():
     result.stats.loc[result.stats.observer == "ukf", "diverged"] = 2
     (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
     assert [words for name, _, words in row.ratios if name == "ukf"] == ["0.5×"], "not significantly more often"
+
+
+def test_summary_says_how_many_ratios_it_leaves_out():
+    names = ("kf", "ekf", "ukf", "pco", "kfbo", "mhe", "eso", "pio", "smo", "chain")
+    for many, n_more in ((8, 0), (9, 1), (10, 2)):
+        result = study_of(1, **{name: [1.0 + 0.2 * i] for i, name in enumerate(names[:many])})
+        (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
+        assert (len(row.ratios), row.n_more) == (7, n_more)
