@@ -112,6 +112,8 @@ def _cell(
         "; ".join([f"{n:,} runs each", *legend]) + "."
         if n > 1
         else "One run each: no intervals, and no significant differences."
+        if len(rows) > 1
+        else "One run each: no intervals."
     )
     some_diverge = heads.index("diverged") in columns
     note += " Means are over the runs that did not diverge." if some_diverge else " None of them diverged."

@@ -31,9 +31,11 @@ from pcbench.runtime.progress import SILENT, Progress
 from pcbench.study import title_of_scenario
 from pcbench.study.serialize import as_dict
 
-WORDS = {
+SIGNIFICANT = {
     "significant": "better than every other by a paired t-test over the same runs (5 %, with Holm's correction over the "
     "study's comparisons), or the other diverges significantly more often",
+}
+WORDS = {
     "steady_start": "the time from which the steady_ metrics are computed, given at each experiment",
     "grid point": "one combination of the values of a study's axes",
 }
@@ -115,6 +117,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
     meaning = {m: descriptions.get(m, "") for m in (options.metric, *ALWAYS)}
     present = {options.metric, *result.stats.metric}
     spelled_out = acronyms(map(str, result.stats.observer.unique()))
+    terms = WORDS if len(tallies) == 1 or result.exact else SIGNIFICANT | WORDS
     commit, release = (result.provenance.get(key) or {} for key in ("git", "versions"))
     header = f"# made with pcbench {release.get('pcbench', '')}"
     header += f", commit {commit['commit']}" if commit.get("commit") else ""
@@ -143,7 +146,7 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         command="\n".join([header, run, "pcbench report again"]),
         study=tomli_w.dumps(as_dict(result.study)).strip(),
         provenance=_provenance(result),
-        meaning=[*((m, words) for m, words in meaning.items() if m in present), *spelled_out.items(), *WORDS.items()],
+        meaning=[*((m, words) for m, words in meaning.items() if m in present), *spelled_out.items(), *terms.items()],
         numbers=explorer.numbers(result, options.metric),
     )
 
@@ -215,7 +218,8 @@ def _order_note(result: Result) -> str:
     if result.exact:
         return "Numbers without an interval are exact, and so are the differences between them."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
-        return "One run each: no difference is significant."
+        has_several = result.stats.observer.nunique() > 1
+        return f"One run each: no {'difference is significant' if has_several else 'intervals'}."
     if len(result.scenarios) < 2:
         return ""
     if summary.keeps_order(result):

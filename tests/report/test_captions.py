@@ -161,6 +161,14 @@ def test_page_of_very_many_scenarios_has_details_of_the_first_only(results, monk
 
 
 @pytest.mark.ci
+def test_page_of_one_run_of_one_observer_has_no_tests():
+    result = pcbench.run({"name": "once"} | SMALL["alone"] | {"seeds": 1})
+    said = re.sub(r"<script.*?</script>|<style.*?</style>|<pre>.*?</pre>", "", page.page(result), flags=re.S)
+    assert "One run each: no intervals." in said
+    assert "significan" not in said
+
+
+@pytest.mark.ci
 def test_pages_of_exact_values_and_of_one_observer_have_no_tests(results):
     exact, alone = (
         re.sub(r"<script.*?</script>|<style.*?</style>", "", page.page(results(name)), flags=re.S)
@@ -172,8 +180,9 @@ def test_pages_of_exact_values_and_of_one_observer_have_no_tests(results):
     assert "Holm" not in section
     assert "1 observer (kf)" in alone
     assert "<h2>Errors of kf</h2>" in alone
-    said = re.sub("<[^>]*>", "", alone.partition('<section id="repeat">')[0])
+    said = re.sub("<[^>]*>", "", re.sub("<pre>.*?</pre>", "", alone, flags=re.S))
     assert not re.search("[Ww]inner|[Bb]est|Ranked|significan|same random", said)
+    assert "<dt>significant</dt>" not in exact
     assert "diff. to best" not in alone
     assert "6 runs each; (a .. b) is a 95 % interval. None of them diverged." in alone
     assert "steady_rmse [-]" in alone
