@@ -16,10 +16,11 @@ from pcbench.report.summary import Ranking, tally
 from pcbench.statistics import number_format
 from pcbench.statistics.ranking import diverges_more
 
+TIE = "="
 MARKS = {
     "±": "± is half a 95 % interval",
     "..": "(a .. b) is a 95 % interval",
-    "=": "= is not significant (paired t-test, Holm, 5 %)",
+    TIE: "= is not significant (paired t-test, Holm, 5 %)",
 }
 MOST = 4  # grid points that have their own table; of more, wins are counted
 
@@ -107,7 +108,7 @@ def _cell(
     columns = [i for i in range(len(heads)) if any(row.cells[i] not in ("none", "-", "") for row in rows)]
     rows = [row._replace(cells=[row.cells[i] for i in columns]) for row in rows]
     texts = " ".join(text for row in rows for text in row.cells[1:])
-    legend = [words for mark, words in MARKS.items() if mark in texts]
+    legend = [words for mark, words in MARKS.items() if mark in texts and (mark != TIE or frames.has_spread(part))]
     note = (
         "; ".join([f"{n:,} runs each", *legend]) + "."
         if n > 1

@@ -256,3 +256,14 @@ def test_summary_says_how_many_ratios_it_leaves_out():
         result = study_of(1, **{name: [1.0 + 0.2 * i] for i, name in enumerate(names[:many])})
         (row,) = summary.rows(result, summary.rankings(result, "steady_rmse", None))
         assert (len(row.ratios), row.n_more) == (7, n_more)
+
+
+def test_equal_errors_without_noise_have_no_test():
+    """Under a table of runs that do not vary, "=" was explained by a paired t-test."""
+    for spread in (True, False):
+        result = study_of(1, **{"kf": [1.0], "kf-shifted-innovation": [1.0], "pco": [2.0]})
+        if not spread:
+            result.stats[["p05", "p95"]] = 1.0
+        (table,) = headline.headlines(result, "cart/white", "position", "steady_rmse")
+        assert "=" in table.rows[1].cells
+        assert ("t-test" in table.note) is spread
