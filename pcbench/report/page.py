@@ -69,6 +69,7 @@ class Section(NamedTuple):
     title: str
     experiment: Experiment
     parts: list[Part]
+    is_brief: bool  # it lacks figures
 
 
 def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, options: FigureOptions = DEFAULTS) -> int:
@@ -104,9 +105,8 @@ def page(result: Result, progress: Progress = SILENT, options: FigureOptions = D
         sections.append(_section(data[name], anchor, bands=len(anchors) <= MAX_BANDS or not sections))
         progress.step(1)
     for picture in sections[0].parts[0].pictures if len(anchors) > MAX_BANDS else ():
-        if picture["name"].endswith("-bands" if detailed == names else "-ratios"):
-            what = "Figures" if detailed == names else "More figures"
-            picture["note"] += f" {what} of the other scenarios: pcbench report RESULTS --figures FOLDER."
+        if picture["name"].endswith("-bands"):
+            picture["note"] += " Figures of the other scenarios: pcbench report RESULTS --figures FOLDER."
     pictures = (part.pictures for section in sections for part in section.parts)
     headline_figure = next((group.pop(0) for group in pictures if group and group[0]["name"].endswith(HEADLINE)), None)
     wide = WIDE * options.paper.width
@@ -194,7 +194,8 @@ def _section(source: figures.ScenarioData, anchor: str, bands: bool) -> Section:
         at = captions.describe_grid_point(result, stats, source.cell)
         unit = figures.unit_of_signal(result, scenario, signal)
         parts.append(Part(with_unit(f"Error of {signal.replace('_', ' ')}", unit), tables, at, entries))
-    return Section(anchor, title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario), parts)
+    title, experiment = title_of_scenario(result.study, scenario), of_scenario.experiment(result, scenario)
+    return Section(anchor, title, experiment, parts, source.is_brief)
 
 
 def inline_picture(p: figures.Picture) -> dict[str, str]:

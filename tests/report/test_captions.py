@@ -156,7 +156,7 @@ def test_page_of_very_many_scenarios_has_details_of_the_first_only(results, monk
     brief = page.page(result)
     assert whole.count("<h4>One run over time</h4>") == 2 * brief.count("<h4>One run over time</h4>") > 0
     assert brief.count(" relative to the best</h4>") == whole.count(" relative to the best</h4>")
-    assert brief.count("More figures of the other scenarios: pcbench report RESULTS --figures FOLDER.") == 1
+    assert brief.count("More figures of this scenario: <code>pcbench report RESULTS --figures FOLDER</code>.") == 1
     assert "More figures" not in whole
 
 
