@@ -63,7 +63,7 @@ class Regrets(NamedTuple):
     # situation, scenario, signal, cell, observer, ratio (inf: every run diverged), best, worse (significantly),
     # diverged (share), more (diverges significantly more often than the best)
     rows: pd.DataFrame
-    observers: list[str]  # in order of their worst case
+    observers: list[str]  # those that run in most situations first, then in order of their worst case
     situations: list[str]
     runs: int  # 0: exact
     signals: list[str]
@@ -85,6 +85,11 @@ class Regrets(NamedTuple):
     def largest(self) -> dict[str, float]:
         """Return the largest ratio of each observer."""
         return {o: float(self.rows.ratio[self.rows.observer == o].max()) for o in self.observers}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Return the number of situations in which each observer runs."""
+        return {o: int((self.rows.observer == o).sum()) for o in self.observers}
 
     @property
     def penalised(self) -> pd.Series:
@@ -150,8 +155,8 @@ def regrets_of(
         least={name: lowest[name] for name in situations},
         unit=units.pop() if len(units) == 1 else "",
     )
-    worst = matrix.worst
-    return matrix._replace(observers=sorted(observers, key=lambda o: worst[o]))
+    worst, counts = matrix.worst, matrix.counts
+    return matrix._replace(observers=sorted(observers, key=lambda o: (-counts[o], worst[o])))
 
 
 def _situation(result: Result, part: pd.DataFrame, cell: int, titles: Mapping[str, frames.AxisTitle]) -> str:
@@ -191,10 +196,11 @@ def regrets(
     """Return a matrix of observers and situations: the error divided by that of the situation's best.
 
     A situation is a scenario at a grid point; `signals` selects their signals (None: the first main signal of each). The best
-    has the fewest diverged runs and then the least error. Rows are in order of their worst case, in which an observer that
-    diverges significantly more often than the best is worse than any that does not. Hatched: not significantly worse than the
-    best (paired t-test, Holm, 5 %). Below a ratio: the share of runs that diverged, if any did. Raises UserError for an unknown
-    name, and if the study has fewer than two situations or observers.
+    has the fewest diverged runs and then the least error. Rows: observers that run in most situations are first, and of these
+    the one with the smallest worst case, in which an observer that diverges significantly more often than the best is worse
+    than any that does not. Hatched: not significantly worse than the best (paired t-test, Holm, 5 %). Below a ratio: the share
+    of runs that diverged, if any did. Raises UserError for an unknown name, and if the study has fewer than two situations or
+    observers.
     """
     matrix = regrets_of(result, metric, signals, None)
     if matrix is None:

@@ -106,12 +106,19 @@ def regrets(matrix: Regrets) -> tuple[str, str]:
     situations = f"{len(matrix.situations)} situations"
     if not np.isfinite(rows.ratio).all():
         method += "; ∞: every run diverged" if matrix.runs else "; ∞: the expected value is infinite"
+    counts = matrix.counts
     less_error = rows[rows.ratio < 1 / SAME]  # than the best, which diverges less often
-    if not np.isfinite(worst[first]):
+    if counts[first] < len(matrix.situations):
+        most = f"{first} runs in most, {counts[first]}"
+        note = f"No observer runs in all {situations}, so worst cases are not compared; {most} ({method})."
+    elif not np.isfinite(worst[first]):
         more = "significantly more often than the best " if rows.more.any() else ""
-        note = f"Each observer diverges {more}in a situation ({method})."
+        every = "Each observer that runs in all" if min(counts.values()) < counts[first] else "Each observer"
+        note = f"{every} diverges {more}in a situation ({method})."
     elif worst[first] < SAME:
-        leaders = [observer for observer in matrix.observers if worst[observer] < SAME]
+        leaders = [
+            observer for observer in matrix.observers if worst[observer] < SAME and counts[observer] == counts[first]
+        ]
         verb, other = ("are", "have") if leaders[1:] else ("is", "has")
         note = f"{_join(leaders)} {other} the least error, or one as good, in all {situations} ({method})."
         if len(less_error):
@@ -298,6 +305,9 @@ def profiles_note(figure: Figure, matrix: Regrets) -> str:
     """Return how to read performance profiles."""
     diverging = "An observer that diverges significantly more often than the best is within no factor."
     sentences = [diverging] * bool(matrix.rows.more.any())
+    if min(matrix.counts.values()) < len(matrix.situations):
+        parts = "shares are of all situations, and ranks of those in which an observer runs"
+        sentences.append(f"Not every observer runs in every situation: {parts}.")
     if len(figure.axes) == 1:
         return " ".join(["Higher is better.", *sentences])
     ranks_text = (

@@ -228,6 +228,37 @@ def test_caption_prefers_who_diverges_less_often(result, losing):
     assert "diverge" not in "".join(captions.regrets(regret_matrix.regrets_of(result)))
 
 
+@pytest.mark.ci
+def test_observer_of_few_situations_has_no_smallest_worst_case(result):
+    """Of all scenarios, mhe-bounded had "the least error in all 32 situations", of which it ran in one."""
+    found = regret_matrix.regrets_of(result)
+    one, three = found.situations[0], found.situations[:3]
+    only = {"pccebo": [one], "kf": three}
+    keep = [s in only.get(o, found.situations) for o, s in zip(found.rows.observer, found.rows.situation, strict=True)]
+    rows = found.rows[keep]
+    few = found._replace(rows=rows)
+    assert few.counts == {"kf": 3, "pccebo": 1, "kfbo": 4, "kf-ignore-delay": 4}
+    few = few._replace(observers=["kfbo", "kf-ignore-delay", "kf", "pccebo"])
+    _, note = captions.regrets(few)
+    assert note.startswith("kfbo has the smallest worst case")
+    rows = rows[rows.observer.isin(["kf", "pccebo"])]
+    _, note = captions.regrets(few._replace(rows=rows, observers=["kf", "pccebo"]))
+    assert note.startswith("No observer runs in all 4 situations, so worst cases are not compared; kf runs in most, 3")
+    figure = plots.profiles(result)
+    assert "Not every observer runs in every situation" in captions.profiles_note(figure, few)
+    assert "Not every observer runs in every situation" not in captions.profiles_note(figure, found)
+
+
+@pytest.mark.ci
+def test_observers_of_all_situations_are_first():
+    result = pcbench.run(STUDY)
+    stats = result.stats
+    stats.drop(stats.index[(stats.observer == "kf") & (stats.cell == 1)], inplace=True)
+    found = regret_matrix.regrets_of(result)
+    assert found.observers[-1] == "kf", "it is the best where it runs"
+    assert list(found.counts.values()) == [4, 4, 4, 2]
+
+
 @pytest.mark.parametrize(
     ("ratio", "text"),
     [
