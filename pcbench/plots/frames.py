@@ -161,6 +161,7 @@ class AxisTitle(NamedTuple):
 
     unit: str = ""
     channels: str = ""  # empty: all, or its values name them
+    units: tuple[tuple[str, str], ...] = ()  # each channel's name and unit, if units differ
 
 
 def label(axis: str, titles: Mapping[str, AxisTitle] | None = None) -> str:
@@ -186,10 +187,12 @@ def axis_titles(result: Result, part: pd.DataFrame) -> dict[str, AxisTitle]:
     out = {}
     for axis in axes_of(dict.fromkeys(cells.columns)):
         channels, units = _split(result, cells, axis)[1], units_by_axis.get(axis, [])
+        names, pairs = _channel_names(result, cells, axis), tuple[tuple[str, str], ...]()
+        if units and all(units) and len(set(units)) > 1:
+            pairs = tuple(zip(names, units, strict=True))
         units = [units[i] for i in channels] if units and channels else units
         unit = ", ".join(dict.fromkeys(units)) if units and all(units) else AXIS_UNITS.get(axis, "")
-        names = _channel_names(result, cells, axis)
-        out[axis] = AxisTitle(unit, _join_names([names[i] for i in channels]) if channels else "")
+        out[axis] = AxisTitle(unit, _join_names([names[i] for i in channels]) if channels else "", pairs)
     return out
 
 
@@ -205,8 +208,23 @@ def format_axis(axis: str, value: object, titles: Mapping[str, AxisTitle] | None
     wordless = title.unit == "1" or " " in title.unit or value is None or text == INFINITE.get(axis)
     unit = "" if wordless else f" {title.unit}".rstrip()
     if isinstance(value, str):  # a word has no unit, but the numbers of channels have
-        return f"{name} {text.replace(', ', f'{unit}, ')}{unit}" if ": " in value else f"{name} {text}"
+        parts = text.split(", ") if ": " in value else [text]
+        return f"{name} {', '.join(f'{part}{_unit_of_channels(part, title, unit)}' for part in parts)}"
     return f"{name} {text}{unit}"
+
+
+def _unit_of_channels(part: str, title: AxisTitle, unit: str) -> str:
+    """Return the unit after the value of channels, such as "y2 and y3: 0.1", or else `unit`; empty if theirs differ."""
+    if ": " not in part:
+        return ""
+    if not title.units:
+        return unit
+    channels, names = part.rpartition(": ")[0], [name for name, _ in title.units]
+    sizes = dict(enumerate(map(len, names)))  # of several names, the longest: "x" is the begin of "x dot"
+    first = max((i for i in sizes if f"{channels} ".startswith(f"{names[i]} ")), key=sizes.__getitem__, default=0)
+    last = max((i for i in sizes if f" {channels}".endswith(f" {names[i]}")), key=sizes.__getitem__, default=first)
+    units = {own for _, own in title.units[first : last + 1]}
+    return f" {units.pop()}" if len(units) == 1 and "1" not in units else ""
 
 
 def fix_axes(part: pd.DataFrame, free: list[str], at: dict[str, object] | None = None) -> pd.DataFrame:

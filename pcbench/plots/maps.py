@@ -153,8 +153,9 @@ def winners(
         standings = frames.fix_axes(standings, [x, y])
     groups = list(standings.groupby(panel_axes, sort=False)) if panel_axes else [((), standings)]
     look = styles(stats.observer)
+    titles = frames.axis_titles(result, stats)
     maps = [
-        (", ".join(frames.format_axis(n, v) for n, v in zip(panel_axes, key, strict=True)),
+        (", ".join(frames.format_axis(n, v, titles) for n, v in zip(panel_axes, key, strict=True)),
          _cells(group, x, y, lambda row: _standing(look, row)))
         for key, group in groups
     ]  # fmt: skip

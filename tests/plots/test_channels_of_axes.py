@@ -83,6 +83,30 @@ def test_successive_equal_channels_are_one():
     assert frames.name_values(names[:3], ["1", "2", "2"]) == "y1: 1, y2 and y3: 2"
 
 
+def test_values_of_channels_have_the_units_of_their_channels():
+    """They had none: "noise std y1: 1, y2 and y3: 0.1"."""
+    units = (("y1", "mm"), ("y2", "degC"), ("y3", "degC"))
+    titles = {"noise_std": frames.AxisTitle("mm, degC", "", units)}
+    texts = {
+        "y1: 1, y2 and y3: 0.1": "noise std y1: 1 mm, y2 and y3: 0.1 degC",
+        "y1 to y3: 0.1": "noise std y1 to y3: 0.1",
+        "y2: 0.1": "noise std y2: 0.1 degC",
+    }
+    assert {value: frames.format_axis("noise_std", value, titles) for value in texts} == texts
+    states = {"process_std": frames.AxisTitle("m, m/s", "", (("x", "m"), ("x dot", "m/s")))}
+    assert frames.format_axis("process_std", "x: 1, x dot: 2", states) == "process std x: 1 m, x dot: 2 m/s"
+
+
+@pytest.mark.ci
+def test_axes_of_plants_with_several_units_have_the_unit_of_each_channel():
+    axes = {"noise_std": [[1.0, 0.1, 0.1], [0.1, 0.01, 0.01]], "delay": [0.0, 10.0], "loss": [0.0, 0.2]}
+    study = {"name": "units", "scenarios": ["csth/10s-noise"], "observers": ["kf", "model-only"], "seeds": 2}
+    found = pcbench.run(study | {"axes": axes})
+    panels = plots.winners(found, "delay", "loss").axes
+    titles = [ax.get_title("left").split("\n↑")[0].replace("\n", " ") for ax in panels]
+    assert titles == ["noise std y1: 1 mm, y2 and y3: 0.1 degC", "noise std y1: 0.1 mm, y2 and y3: 0.01 degC"]
+
+
 def test_infinity_is_what_it_means_on_its_axis_and_has_no_unit():
     said = {"processor_speed": "processor speed no limit", "student_t_dof": "student t dof Gaussian"}
     assert {axis: frames.format_axis(axis, float("inf")) for axis in said} == said
