@@ -254,6 +254,8 @@ def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
     if matrix := regrets_of(result, options.metric, options.signals):
         figure = plots.regrets(result, metric=options.metric, signals=options.signals, paper=options.paper)
         yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(matrix))
+        if list(matrix.counts.values()).count(len(matrix.situations)) < 2:  # observers share no situations
+            return
         figure = plots.profiles(result, metric=options.metric, signals=options.signals, paper=options.paper)
         yield Picture(
             "profiles",

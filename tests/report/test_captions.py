@@ -147,6 +147,16 @@ def test_page_of_many_scenarios_and_observers_is_small():
 
 
 @pytest.mark.ci
+def test_observers_of_different_scenarios_have_no_performance_profile():
+    """A profile counts all situations, also those in which an observer does not run."""
+    result = pcbench.run({"name": "different", "scenarios": ["cart/white", "intermittent/scalar"], "seeds": 4})
+    assert set(result.stats_of("intermittent/scalar", "x").observer) == {"kf"}
+    found = {picture.name for picture in figures.of_study(result, figures.DEFAULTS)}
+    assert "regrets" in found
+    assert "profiles" not in found
+
+
+@pytest.mark.ci
 def test_page_of_very_many_scenarios_has_details_of_the_first_only(results, monkeypatch):
     """The page of `all` was twice as large as a page may be, and took ten minutes, most of them for runs over time."""
     result = results("white")
