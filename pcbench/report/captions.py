@@ -84,7 +84,10 @@ def best(table: Ratios) -> str:
 def scenarios(table: pd.DataFrame) -> str:
     """Return the value of each scenario, of rows of `scenario_errors.rows_of`."""
     unit = unit_of(table)
-    values = zip(table.scenario, table["mean"], strict=True)
+    several = table.observer.nunique() > 1
+    rows = cast(list[Row], table.to_dict("records"))
+    names = [f"{row['scenario']}, {row['observer']}" if several else row["scenario"] for row in rows]
+    values = zip(names, table["mean"], strict=True)
     return f"{'; '.join(f'{name} {_format_value(value, unit)}' for name, value in values)}."
 
 

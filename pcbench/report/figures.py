@@ -266,6 +266,21 @@ def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
         )
     elif len(result.scenarios) > 1 and result.stats.observer.nunique() == 1:
         yield from _scenario_errors(result, options)
+    yield from _scenario_consistency(result, options)
+
+
+def _scenario_consistency(result: Result, options: FigureOptions) -> Iterator[Picture]:
+    """Yield the NEES of the filters in each scenario, if two scenarios or more have the signal of the first."""
+    first = result.scenarios[0]
+    if len(result.scenarios) < 2 or not frames.signals_with_metric(result, first, None, NEES):
+        return
+    cell = cell_of(result, first, options)
+    table = scenario_errors.rows_of(result, metric=NEES, cell=cell)
+    table = table[np.isfinite(table["mean"])]
+    if table.scenario.nunique() > 1:
+        figure = plots.scenarios(result, metric=NEES, cell=cell, paper=options.paper)
+        title = "Consistency of the filters in each scenario"
+        yield Picture("scenarios-nees", title, figure, captions.scenarios(table), captions.NEES)
 
 
 def _scenario_errors(result: Result, options: FigureOptions) -> Iterator[Picture]:

@@ -139,6 +139,22 @@ def test_words_of_figures_of_a_built_in_study_are_those_of_what_is_drawn(name):
     assert len(page.page(result).encode()) < 1.2e6
 
 
+@pytest.mark.ci
+def test_consistency_over_scenarios_has_a_row_for_each():
+    """Each scenario had its own figure, so that wrong assumptions could not be compared."""
+    noise = {"base": "cart/gaussian"}
+    scenarios = {"right": noise, "wrong": noise | {"assumed_noise_scale": 0.25}}
+    extra = {"options": CONSISTENT}
+    result = pcbench.run({"name": "nees", "scenarios": scenarios, "observers": ["kf", "pccebo"], "seeds": 6} | extra)
+    (picture,) = [p for p in figures.of_study(result, figures.DEFAULTS) if p.name == "scenarios-nees"]
+    labels = [text.get_text() for text in picture.figure.axes[0].get_yticklabels()]
+    assert labels == ["right", "wrong"]
+    stats = result.stats[result.stats.metric == "nees"].drop_duplicates(["scenario", "observer"])
+    for row in stats.itertuples():
+        assert f"{row.scenario} {row.mean:.3g}" in picture.text or f"{row.observer} {row.mean:.3g}" in picture.text
+    assert faults(picture, result, 6) == []
+
+
 @pytest.mark.nightly
 def test_page_of_many_scenarios_and_observers_is_small():
     text = page.page(pcbench.run("model-mismatch", seeds=4))
