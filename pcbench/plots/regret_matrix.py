@@ -31,6 +31,7 @@ from pcbench.statistics.ranking import diverges_more
 from pcbench.study import title_of_scenario
 
 COLUMNS = 16  # situations side by side
+HUGE = 99_500.0  # a ratio from here on is written as a power of ten
 MOST = 48  # situations; of more there is no matrix
 ROW, CELL, BESIDE = 0.21, 0.36, 0.3  # inches: of a row, of a column, of the margin
 SECOND = 0.11  # inches that a row with shares of diverged runs is higher
@@ -351,9 +352,11 @@ def _scale_errors(least: list[float]) -> tuple[int, list[str]]:
 
 
 def format_ratio(ratio: float) -> str:
-    """Return a ratio in at most four letters."""
+    """Return a ratio in at most five letters, its power of ten if it is large."""
     if not isfinite(ratio):
         return "∞"
+    if ratio >= HUGE:
+        return layout.number(10.0 ** round(log10(ratio)))
     if ratio < 1.095:
         return f"{ratio:.2f}" if ratio >= 1.005 else "1" if ratio > 0.995 else layout.number(float(f"{ratio:.2g}"))
     return f"{ratio:.2g}" if ratio < 99.5 else layout.number(float(f"{ratio:.2g}"))
