@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ci
 
 
 @pytest.fixture(scope="module")
-def result():
+def result(as_users_have_it):  # it computes for longer than it compiles
     return pcbench.run("processor")
 
 
