@@ -65,8 +65,8 @@ def of_scenarios(
       run, the mean NEES over RUNS runs, and its 95 % band if P is true
 
     A closed loop is frozen when it diverges: its truth, estimate and error are NaN from then on. Runs that do not differ, and
-    those with random schedules, have no low, high and rms. None: the runs are not stored, and the
-    code of a user's observer is not loaded. Raises UserError for a cell that the scenario does not have.
+    those with random schedules, have no low, high and rms. None: the runs are not stored, and the code of a user's observer is
+    not loaded. Raises UserError for a cell that the scenario does not have.
     """
     grid_cells = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
     seed = study.first_seed if seed is None else seed

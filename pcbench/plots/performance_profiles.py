@@ -2,9 +2,9 @@
 
 The profile of an observer is the share of situations (scenarios at grid points) in which its error is at most a factor times
 that of the best. If it diverges significantly more often than the best, it is within no factor. Source: Dolan, More, Math.
-Program. 91 (2002), 201-213. The probability of a rank comes from a paired
-bootstrap: runs are drawn with replacement, the same for all observers, and observers are ranked again by fewest diverged
-runs, then by the mean. Equal observers share the better rank.
+Program. 91 (2002), 201-213. The probability of a rank comes from a paired bootstrap: runs are drawn with replacement, the same
+for all observers, and observers are ranked again by fewest diverged runs, then by the mean. Equal observers share the better
+rank.
 """
 
 import numpy as np

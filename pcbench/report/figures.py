@@ -213,14 +213,12 @@ def of_all_signals(source: ScenarioData) -> Iterator[Picture]:
         text = captions.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{name}-divergence", title, figure, text, captions.divergence_note(part))
     yield from _consistency(source)
-    if is_brief:
-        return
     if run is not None and one_run.has_nees(run):
         seed = result.study.first_seed if options.seed is None else options.seed
         figure = time_series.draw_nees(result, run, scenario, cell, seed, options.paper)
         note = captions.consistency_note(run)
         yield Picture(f"{name}-nees", "Consistency of the filters", figure, captions.consistency(run), note)
-    if transforms := calibration_curves.transforms_of(result, scenario, cell):
+    if not is_brief and (transforms := calibration_curves.transforms_of(result, scenario, cell)):
         figure = plots.calibration(result, scenario=scenario, cell=cell, paper=options.paper)
         text = captions.calibration(transforms)
         yield Picture(f"{name}-calibration", "Calibration of the filters", figure, text, captions.CALIBRATION)
@@ -254,16 +252,15 @@ def of_study(result: Result, options: FigureOptions) -> Iterator[Picture]:
     if matrix := regrets_of(result, options.metric, options.signals):
         figure = plots.regrets(result, metric=options.metric, signals=options.signals, paper=options.paper)
         yield Picture("regrets", "Error relative to the best in each situation", figure, *captions.regrets(matrix))
-        if list(matrix.counts.values()).count(len(matrix.situations)) < 2:  # observers share no situations
-            return
-        figure = plots.profiles(result, metric=options.metric, signals=options.signals, paper=options.paper)
-        yield Picture(
-            "profiles",
-            "Performance profile and ranks",
-            figure,
-            captions.profiles(matrix),
-            captions.profiles_note(figure, matrix),
-        )
+        if list(matrix.counts.values()).count(len(matrix.situations)) > 1:  # else observers share no situations
+            figure = plots.profiles(result, metric=options.metric, signals=options.signals, paper=options.paper)
+            yield Picture(
+                "profiles",
+                "Performance profile and ranks",
+                figure,
+                captions.profiles(matrix),
+                captions.profiles_note(figure, matrix),
+            )
     elif len(result.scenarios) > 1 and result.stats.observer.nunique() == 1:
         yield from _scenario_errors(result, options)
     yield from _scenario_consistency(result, options)

@@ -175,7 +175,7 @@ def losing():
 
 @pytest.mark.ci
 def test_observer_that_diverges_more_often_is_not_the_reference(losing):
-    """Of a falling body: "1" of ukf, of which 34 % of the runs diverge, was beside a bold "1.8" of ekf."""
+    """Of a falling body: "1" of ukf, of which 34 % of the runs diverge, was in one column with a bold "1.8" of ekf."""
     found, means = regret_matrix.regrets_of(losing), by_hand(losing)
     wide = found.rows.pivot(index="situation", columns="observer", values="ratio")
     late = [name for name in found.situations if name.endswith("0.4 s")]

@@ -322,6 +322,18 @@ def test_dark_figures_are_as_broad_as_light_ones(browser, report):
 
 
 @needs_browser
+def test_a_summary_wider_than_the_page_scrolls_in_its_own_frame(browser, report):
+    """At 1024 pixels the summary of 36 scenarios made its page 44 pixels wider than the window."""
+    size = {"width": 1024, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    visit(browser, report.as_uri())
+    ask(browser, "document.querySelectorAll('#summary td').forEach(cell => cell.textContent = 'x'.repeat(40))")
+    assert ask(browser, "document.querySelector('#summary table').scrollWidth") > 1024
+    assert ask(browser, "document.documentElement.scrollWidth - document.documentElement.clientWidth") == 0
+    browser.call("Emulation.clearDeviceMetricsOverride")
+
+
+@needs_browser
 def test_figures_take_the_width_of_the_page(browser, report):
     """At 1024 pixels two figures stood on the left, and a quarter of the page was empty."""
     script = """JSON.stringify([...document.querySelectorAll('.pictures')].filter(box => box.children.length > 1).map(box =>
