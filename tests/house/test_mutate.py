@@ -35,6 +35,20 @@ def test_the_score_is_the_share_of_mutants_on_which_a_test_fails(tmp_path, text,
 
 
 @pytest.mark.ci
+def test_tests_that_name_a_mutated_file_most_often_run_first():
+    pytest.importorskip("cosmic_ray")
+    sys.path.insert(0, str(ROOT / "tests"))
+    from mutate import tests_of
+
+    found = tests_of(Path("pcbench/observers/kf_larsen.py"))
+    folders = {test.split("/")[0] for test in found}
+    assert folders == {"observers", "invariants", "plants"}
+    first, *_, last = ((ROOT / "tests" / test).read_text() for test in found)
+    assert "kf-larsen" in first
+    assert "kf-larsen" not in last
+
+
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("words", "why"),
     [
