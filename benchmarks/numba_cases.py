@@ -3,8 +3,9 @@
     python benchmarks/numba_cases.py [--small] [--json] [--only "closed loop"]
 
 One lane-tick is one run advanced by one tick: plant, observers, controller, and mean absolute error, RMS error and peak of each
-estimated signal, in float64. The loops are in `numba_loops.py`. Before a case is timed, its loop simulates the first runs with
-pcbench's random numbers. A metric that differs by more than 1e-9 of its value ends the program with exit code 1.
+estimated signal, in float64. The loops are in `numba_linear.py` and `numba_robots.py`. Before a case is timed, its loop
+simulates the first runs with pcbench's random numbers. A metric that differs by more than 1e-9 of its value ends the program
+with exit code 1.
 
 Timing: processor time of one core, pcbench and numba in turns (see `turns`), best of the turns. Both draw their random numbers
 within the time: pcbench its own (Threefry, addressed by run), numba those of NumPy (PCG64 with a ziggurat), which take less.
@@ -29,7 +30,9 @@ from typing import Any, NamedTuple
 import hlo_counts
 import jax
 import jax.numpy as jnp
-import numba_loops
+import numba
+import numba_linear
+import numba_robots
 import numpy as np
 from baselines import Array
 from rich.console import Console
@@ -62,7 +65,7 @@ class Kind(NamedTuple):
     loops: tuple[str, ...] = ("segments", "ticks")  # of its program, if their number is not in its text; see `trips_of`
 
 
-def prepare_linear(p: Plan) -> numba_loops.Linear:
+def prepare_linear(p: Plan) -> numba_linear.Linear:
     """Return the numbers of a linear plant with kf."""
     problem, ticks, clock, kf = p.problem, p.cell.times.ticks, p.cell.times.clocks[0], p.problem.gains["kf"]
     Phi, Gamma, Q = problem.params.Phi, problem.params.Gamma[:, 0], kf.noise[0, 1]
@@ -70,7 +73,7 @@ def prepare_linear(p: Plan) -> numba_loops.Linear:
     moved = np.zeros((ticks, 2)) if p.layout.controller else np.outer(problem.inputs[:ticks, 0], Gamma)
     for k in range(ticks):
         powers[k + 1], noise[k + 1], g[k + 1] = Phi @ powers[k], Phi @ noise[k] @ Phi.T + Q, Phi @ g[k] + moved[k]
-    return numba_loops.Linear(
+    return numba_linear.Linear(
         ticks=ticks,
         period=clock.period,
         delay=clock.delay or 0,
@@ -94,10 +97,10 @@ def prepare_linear(p: Plan) -> numba_loops.Linear:
     )
 
 
-def prepare_arm(p: Plan) -> numba_loops.Arm:
+def prepare_arm(p: Plan) -> numba_robots.Arm:
     """Return the numbers of the arm with smo."""
     problem, clock, plant, smo = p.problem, p.cell.times.clocks[0], p.problem.params, p.problem.gains["smo"]
-    return numba_loops.Arm(
+    return numba_robots.Arm(
         ticks=p.cell.times.ticks,
         period=clock.period,
         dt=float(problem.dt),
@@ -119,12 +122,12 @@ def prepare_arm(p: Plan) -> numba_loops.Arm:
     )
 
 
-def prepare_helicopter(p: Plan) -> numba_loops.Helicopter:
+def prepare_helicopter(p: Plan) -> numba_robots.Helicopter:
     """Return the numbers of the helicopter with high-gain or ekf."""
     problem, clock, plant, law = p.problem, p.cell.times.clocks[0], p.problem.params, p.problem.control
     ((label, gains),) = problem.gains.items()
     lag, first, is_ekf = int(problem.line.lag[0]), -int(law.first), label == "ekf"
-    return numba_loops.Helicopter(
+    return numba_robots.Helicopter(
         ticks=p.cell.times.ticks,
         period=clock.period,
         delay=clock.delay or 0,
@@ -154,32 +157,32 @@ def prepare_helicopter(p: Plan) -> numba_loops.Helicopter:
 
 
 KINDS = [
-    Kind("process noise", OTHERS["process noise"], numba_loops.process_noise, prepare_linear),
+    Kind("process noise", OTHERS["process noise"], numba_linear.process_noise, prepare_linear),
     Kind(
         "a schedule for each run",
         OTHERS["a schedule for each run"],
-        numba_loops.random_schedule,
+        numba_linear.random_schedule,
         prepare_linear,
         ("segments", "once", "once", "ticks"),
     ),
     Kind(
         "closed loop",
         OTHERS["closed loop"],
-        numba_loops.closed_loop,
+        numba_linear.closed_loop,
         prepare_linear,
         ("segments", "ticks", "never", "never"),
     ),
-    Kind("arm, smo", {"scenario": {"base": "arm/sampled"}, "observers": ["smo"]}, numba_loops.arm, prepare_arm),
+    Kind("arm, smo", {"scenario": {"base": "arm/sampled"}, "observers": ["smo"]}, numba_robots.arm, prepare_arm),
     Kind(
         "helicopter, high-gain",
         {"scenario": HELICOPTER, "observers": ["high-gain"]},
-        numba_loops.high_gain,
+        numba_robots.high_gain,
         prepare_helicopter,
     ),
     Kind(
         "helicopter, ekf",
         {"scenario": HELICOPTER, "observers": ["ekf"]},
-        numba_loops.ekf,
+        numba_robots.ekf,
         prepare_helicopter,
         ("segments", "period", "delay", "ticks"),
     ),
@@ -216,6 +219,17 @@ def trips_of(kind: Kind, p: Plan) -> list[float]:
     return [lengths[name] for name in kind.loops]
 
 
+@numba.njit
+def simulate(run, case, rng, noise, uniform, out):
+    """Simulate len(out) runs, one after the other, each with new draws; `noise` and `uniform` are room for them."""
+    for lane in range(len(out)):
+        for i in range(len(noise)):
+            noise[i] = rng.standard_normal()
+        for i in range(len(uniform)):
+            uniform[i] = rng.random()
+        run(case, noise, uniform, out[lane])
+
+
 def sums_of(p: Plan, outcome: RunSums) -> Array:
     """Return the sums of |e| and e^2 and the peaks of all observers, [3, signals, runs]."""
     each = [outcome.streams[name] for name, _ in p.layout.observers]
@@ -246,7 +260,7 @@ def measured(kind: Kind, small: bool) -> dict[str, Any]:
         kind.loop(case, *(draws := draws_of(p, seed)), out)
         check(f"{kind.what}, run {seed}", out, expected[..., seed])
     runs = 1 if small else RUNS
-    work = partial(numba_loops.simulate, kind.loop, case, np.random.default_rng(0), *draws)
+    work = partial(simulate, kind.loop, case, np.random.default_rng(0), *draws)
     start = process_time()
     work(np.zeros((1, *out.shape)))
     compile_seconds = process_time() - start

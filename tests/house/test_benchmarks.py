@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
-HELPERS = {"baselines", "hlo_counts", "map_study", "numba_loops", "turns"}  # imported by the others
+HELPERS = {"baselines", "hlo_counts", "map_study", "numba_linear", "numba_robots", "turns"}  # imported by the others
 ROWS = {  # what each prints, and how often
     "throughput": {
         "(a)": 1,
