@@ -317,11 +317,14 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     parser.add_argument("--only", help="the kinds whose name contains this")
     options = parser.parse_args()
+    kinds = [kind for kind in KINDS if (options.only or "") in kind.what]
+    if not kinds:
+        parser.error(f"--only: got {options.only!r}, expected a part of one of: {'; '.join(k.what for k in KINDS)}")
     os.environ["NPROC"] = "1"
     config.setup()
     jax.config.update("jax_platforms", "cpu")
     core = hlo_counts.core()
-    rows = [measured(kind, options.small) for kind in KINDS if (options.only or "") in kind.what]
+    rows = [measured(kind, options.small) for kind in kinds]
     for row in rows:
         row |= {
             "share": row["flops"] / row["pcbench"] / core.gflops,
