@@ -188,7 +188,7 @@ def test_only_observers_that_diverge_have_a_map_of_diverged_runs(result):
     assert all(to_hex(patch.get_edgecolor()) != "#ffffff" for patch in ax.patches)
 
 
-def test_observers_without_a_mean_are_named_beside_curves_and_costs():
+def test_observers_without_a_mean_are_named_with_curves_and_costs():
     """The legend had a line that was not in the figure."""
     part = pd.DataFrame({"observer": ["kf", "no-delay"] * 2, "mean": [1.0, np.nan] * 2, "diverged": [0, 8, 1, 8]})
     figure, counts = Figure(), pd.DataFrame({"sample": [3, 3]})
