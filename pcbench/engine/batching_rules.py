@@ -13,7 +13,16 @@ from pcbench.engine import jaxpr_compat, kernels
 from pcbench.engine.jaxpr_compat import Eqn
 from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
+Known = np.ndarray | None  # known entries of a value, as in `known_entries`
+
 OPERATIONS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
+NEUTRAL = {
+    "mul": 1.0,
+    "div": 1.0,
+    "add": 0.0,
+    "add_any": 0.0,
+    "sub": 0.0,
+}  # the operand b that leaves a in a op b unchanged
 FOLD_OPERATIONS = dict(zip(jaxpr_compat.FOLDS, OPERATIONS, strict=True))
 
 
@@ -25,19 +34,38 @@ def entries_of(x: PyTree, shape: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(x.parts, shape)
 
 
-def elementwise(eqn: Eqn, args: list[PyTree]) -> LaneArray:
-    """Apply a primitive to each number."""
-    shape = eqn.outvars[0].aval.shape
-    parts = [entries_of(a, shape) for a in args]
-    out = np.empty(shape, object)
+def known_array(known: Known, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the known entries of an operand broadcast to `shape`, NaN where an entry is not known."""
+    return np.broadcast_to(np.nan if known is None else known, shape)
+
+
+def elementwise(eqn: Eqn, args: list[PyTree], known: list[Known], known_result: Known) -> LaneArray:
+    """Apply a primitive to each number whose result is not known."""
+    name, shape, dtype = eqn.primitive.name, eqn.outvars[0].aval.shape, eqn.outvars[0].aval.dtype
+    parts, known_parts = [entries_of(a, shape) for a in args], [known_array(k, shape) for k in known]
+    results, out = known_array(known_result, shape), np.empty(shape, object)
     for i in np.ndindex(shape):
         entries = [p[i] for p in parts]
         lane_shape = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
-        # a choice common to all lanes stays a scalar
-        is_common_choice = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])
-        first = entries[:1] if is_common_choice else []
-        out[i] = kernels.function_of(eqn)(*first, *(jnp.broadcast_to(e, lane_shape) for e in entries[len(first) :]))
+        if not np.isnan(results[i]):
+            out[i] = jnp.full(lane_shape, results[i], dtype)
+        elif (unchanged := _unchanged_operand(name, [k[i] for k in known_parts])) is not None:
+            out[i] = jnp.broadcast_to(entries[unchanged], lane_shape)
+        else:
+            # a choice common to all lanes stays a scalar
+            first = entries[:1] if name == "select_n" and not jnp.ndim(entries[0]) else []
+            others = (jnp.broadcast_to(e, lane_shape) for e in entries[len(first) :])
+            out[i] = kernels.function_of(eqn)(*first, *others)
     return LaneArray(out)
+
+
+def _unchanged_operand(name: str, known: list[np.ndarray]) -> int | None:
+    """Return the index of the operand that equals the result, such as x in x + 0 and 1 x; None if there is none."""
+    if name not in NEUTRAL:
+        return None
+    if known[1] == NEUTRAL[name]:
+        return 0
+    return 1 if known[0] == NEUTRAL[name] and name not in ("sub", "div") else None
 
 
 def structural(eqn: Eqn, args: list[PyTree]) -> list[PyTree]:
@@ -59,12 +87,14 @@ def source_indices(
     primitive: PyTree, params: tuple[tuple[str, PyTree], ...], shapes: tuple[tuple[int, ...], ...]
 ) -> list[np.ndarray]:
     """Return the source entry of each entry of each result: the primitive applied to the entries' indices."""
-    offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
+    sizes = [int(np.prod(s)) for s in shapes]
+    indices = [
+        o + np.arange(size).reshape(s) for o, size, s in zip(np.cumsum([0, *sizes]), sizes, shapes, strict=False)
+    ]
+    if (sources := jaxpr_compat.rearrange(primitive.name, dict(params), indices)) is not None:
+        return sources
     with jax.ensure_compile_time_eval():
-        indices = [
-            jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
-        ]
-        results = primitive.bind(*indices, **dict(params))
+        results = primitive.bind(*map(jnp.asarray, indices), **dict(params))
     return [np.asarray(result) for result in (results if primitive.multiple_results else [results])]
 
 
@@ -77,27 +107,39 @@ def fold(eqn: Eqn, args: list[PyTree]) -> LaneArray:
     return lanes_of(shape, [reduce(FOLD_OPERATIONS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
 
 
-def dot(eqn: Eqn, args: list[PyTree]) -> LaneArray:
-    """Write a matrix product as products and sums."""
+def dot(eqn: Eqn, args: list[PyTree], known: list[Known]) -> LaneArray:
+    """Write a matrix product as products and sums, without the products that are known to be zero."""
     (ca, cb), (ba, bb) = jaxpr_compat.dot_axes(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
-    shape = eqn.outvars[0].aval.shape
-    inner = int(np.prod([shapes[0][i] for i in ca]))
     lhs, rhs = (entries_of(a, s) for a, s in zip(args, shapes, strict=True))
+    a, b = as_matrices(lhs, ba, ca), as_matrices(rhs, bb, cb)
+    known_a, known_b = (
+        as_matrices(known_array(k, s), batch, contract)
+        for k, s, batch, contract in zip(known, shapes, (ba, bb), (ca, cb), strict=True)
+    )
+    width = next(jnp.shape(e)[0] for e in (*lhs.flat, *rhs.flat) if jnp.ndim(e))
+    zero = jnp.zeros(width, eqn.outvars[0].aval.dtype)
 
-    def to_matrices(p: np.ndarray, batch: PyTree, contract: PyTree) -> np.ndarray:  # [batch, free, contract], flattened
-        free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
-        sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
-        return p.transpose(*batch, *free, *contract).reshape(sizes)
+    def term(k: int, i: int, j: int, c: int) -> PyTree:
+        if known_a[k, i, c] == 1:
+            return b[k, j, c]
+        return a[k, i, c] if known_b[k, j, c] == 1 else _pairwise(kernels.product, a[k, i, c], b[k, j, c])
 
-    a, b = to_matrices(lhs, ba, ca), to_matrices(rhs, bb, cb)
-    sums = [
-        reduce(partial(_pairwise, lax.add), (_pairwise(kernels.product, a[k, i, c], b[k, j, c]) for c in range(inner)))
-        for k in range(a.shape[0])
-        for i in range(a.shape[1])
-        for j in range(b.shape[1])
-    ]
-    return lanes_of(shape, sums)
+    def entry(k: int, i: int, j: int) -> PyTree:
+        terms = [term(k, i, j, c) for c in range(a.shape[2]) if known_a[k, i, c] != 0 and known_b[k, j, c] != 0]
+        return jnp.broadcast_to(reduce(partial(_pairwise, lax.add), terms), (width,)) if terms else zero
+
+    return lanes_of(
+        eqn.outvars[0].aval.shape,
+        [entry(k, i, j) for k in range(a.shape[0]) for i in range(a.shape[1]) for j in range(b.shape[1])],
+    )
+
+
+def as_matrices(p: np.ndarray, batch: PyTree, contract: PyTree) -> np.ndarray:
+    """Return the entries of an operand of a product, [batch, free, contract], each flattened."""
+    free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
+    sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
+    return p.transpose(*batch, *free, *contract).reshape(sizes)
 
 
 def _pairwise(apply: Any, a: PyTree, b: PyTree) -> PyTree:

@@ -6,6 +6,7 @@ its constants and carries (`num_consts`, `num_carry`). From 0.11 on it has one t
 constants, carries, rows). A release that changes the parameters raises an error here instead of giving wrong numbers.
 """
 
+from contextlib import suppress
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -160,6 +161,37 @@ def _types(x: Any) -> list[list[Any]]:
 def parameter_items(eqn: Eqn) -> tuple[tuple[str, Any], ...]:
     """Return an equation's parameters as (name, value) pairs."""
     return tuple(eqn.params.items())
+
+
+def rearrange(primitive: str, params: EqnParams, arrays: list[np.ndarray]) -> list[np.ndarray] | None:
+    """Return the results of one of STRUCTURAL, computed by NumPy; None: only jax can compute them.
+
+    jax would compile a program for each shape, in some 20 ms.
+    """
+    x = arrays[0]
+    with suppress(KeyError):  # a release of jax with other parameters
+        match primitive:
+            case "broadcast_in_dim":
+                sizes = [1] * len(params["shape"])
+                for axis, size in zip(params["broadcast_dimensions"], x.shape, strict=True):
+                    sizes[axis] = size
+                return [np.broadcast_to(x.reshape(sizes), params["shape"])]
+            case "concatenate":
+                return [np.concatenate(arrays, params["dimension"])]
+            case "reshape" if params["dimensions"] is None:
+                return [x.reshape(params["new_sizes"])]
+            case "slice":
+                steps = params["strides"] or [1] * x.ndim
+                return [x[tuple(map(slice, params["start_indices"], params["limit_indices"], steps))]]
+            case "split":
+                return np.split(x, np.cumsum(params["sizes"])[:-1], params["axis"])
+            case "squeeze":
+                return [x.squeeze(tuple(params["dimensions"]))]
+            case "stack":
+                return [np.stack(arrays, params["axis"])]
+            case "transpose":
+                return [x.transpose(params["permutation"])]
+    return None
 
 
 def inner_programs(params: EqnParams) -> list[Any]:

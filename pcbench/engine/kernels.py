@@ -25,6 +25,7 @@ from contextvars import ContextVar
 from functools import partial, reduce
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -59,7 +60,13 @@ _ZERO: ContextVar[Array | None] = ContextVar("zero", default=None)
 @contextmanager
 def separate_products(number: Array) -> Iterator[None]:
     """Round every product separately in programs traced in this context; `number` is any finite argument of the program."""
-    token = _ZERO.set(0.0 * number)
+    with _use_zero(0.0 * number):
+        yield
+
+
+@contextmanager
+def _use_zero(zero: Array | None) -> Iterator[None]:
+    token = _ZERO.set(zero)
     try:
         yield
     finally:
@@ -69,7 +76,8 @@ def separate_products(number: Array) -> Iterator[None]:
 def product(a: Array, b: Array) -> Array:
     """Return a b."""
     zero = _ZERO.get()
-    return lax.mul(a, b) if zero is None or a.dtype != jnp.float64 else lax.mul(a, b) + zero
+    result = lax.mul(a, b)
+    return result if zero is None or a.dtype != jnp.float64 else lax.add(result, lax.full_like(result, zero))
 
 
 def is_written_out(eqn: Eqn) -> bool:
@@ -100,27 +108,29 @@ def power(x: Array, exponent: int) -> Array:
 
 def sin(x: Array) -> Array:
     """Return the sine of angles [rad] in float64."""
-    return _sine_of_quarters(x, 0.0)
+    return _sine_of_quarters(x, _ZERO.get(), 0.0)
 
 
 def cos(x: Array) -> Array:
     """Return the cosine of angles [rad] in float64."""
-    return _sine_of_quarters(x, 1.0)
+    return _sine_of_quarters(x, _ZERO.get(), 1.0)
 
 
-def _sine_of_quarters(x: Array, quarters: float) -> Array:
+@partial(jax.jit, static_argnums=2)  # traced once for each shape
+def _sine_of_quarters(x: Array, zero: Array | None, quarters: float) -> Array:
     """Return the sine of an angle plus a number of quarter turns."""
-    x = lax.clamp(-LARGEST_ANGLE, x, LARGEST_ANGLE)
-    n = jnp.round(_times(1 / (PI_2[0] + PI_2[1]), x))
-    high, low = x - _times(PI_2[0], n), _times(PI_2[1], n)
-    r = high - low
-    t = (high - r) - low - _times(PI_2[2], n)
-    n = n + quarters
-    # 0 to 3, as a float, for which every processor has vector instructions
-    quarter = n - _times(4.0, jnp.floor(_times(0.25, n)))
-    is_odd = (quarter == 1.0) | (quarter == 3.0)
-    magnitude = jnp.where(is_odd, _cosine(r, t), _sine(r, t))
-    return jnp.where(quarter >= 2.0, -magnitude, magnitude)
+    with _use_zero(zero):
+        x = lax.clamp(-LARGEST_ANGLE, x, LARGEST_ANGLE)
+        n = jnp.round(_times(1 / (PI_2[0] + PI_2[1]), x))
+        high, low = x - _times(PI_2[0], n), _times(PI_2[1], n)
+        r = high - low
+        t = (high - r) - low - _times(PI_2[2], n)
+        n = n + quarters
+        # 0 to 3, as a float, for which every processor has vector instructions
+        quarter = n - _times(4.0, jnp.floor(_times(0.25, n)))
+        is_odd = (quarter == 1.0) | (quarter == 3.0)
+        magnitude = jnp.where(is_odd, _cosine(r, t), _sine(r, t))
+        return jnp.where(quarter >= 2.0, -magnitude, magnitude)
 
 
 def _sine(r: Array, t: Array) -> Array:
