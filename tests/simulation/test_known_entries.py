@@ -40,7 +40,7 @@ FUNCTIONS = {
     "0 + x, x - 0, 0 - x, 0 / x": lambda z, P: jnp.stack([0 + z, z + 0.0, z - 0.0, 0 - z, 0 / z]),
     "choice between equal entries": lambda z, P: jnp.where(z > 0, jnp.eye(3), jnp.diag(jnp.array([1.0, 1.0, 2.0]))) @ z,
     "choice that is known": lambda z, P: jnp.where(jnp.arange(3) == 1, z, 2.0),
-    "whole numbers that wrap around": lambda z, P: (lax.iota(jnp.uint8, 3) + np.uint8(255)) * z,
+    "whole numbers that wrap around": lambda z, P: (lax.iota(jnp.uint8, 3) + np.uint8(255) == 0) * z,
     "large whole numbers": lambda z, P: ((lax.iota(int, 3) + (2**53 + 1)) - 2**53) * z,
     "truncation": lambda z, P: jnp.array([0.5, 1.5, -0.5]).astype(int) * z,
     "a number as a truth": lambda z, P: jnp.array([2.0, 0.5, 0.0]).astype(bool) * z,
