@@ -66,6 +66,11 @@ def value(literal: Any) -> np.ndarray:
     return np.asarray(literal.val, literal.aval.dtype)
 
 
+def is_traced(x: Any) -> bool:
+    """Return whether the value of an array is not known while a program is traced."""
+    return isinstance(x, jax.core.Tracer)
+
+
 def callee(params: EqnParams) -> ClosedJaxpr:
     """Return the closed program that one of CALLS applies."""
     program = params.get("jaxpr") or params["call_jaxpr"]

@@ -12,7 +12,6 @@ Only whole numbers are known, so that they are exact in every type.
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
 
 from pcbench.engine import batching_rules, jaxpr_compat
@@ -25,7 +24,7 @@ LARGEST = 2**31 - 1  # larger whole numbers are not known
 
 def of_constant(x: Any) -> Known:
     """Return the known entries of a constant or a literal."""
-    if isinstance(x, jax.core.Tracer) or np.size(x) > MOST_ENTRIES or np.asarray(x).dtype.kind not in "fiub":
+    if jaxpr_compat.is_traced(x) or np.size(x) > MOST_ENTRIES or np.asarray(x).dtype.kind not in "fiub":
         return None
     return _exact(np.asarray(x, float), np.asarray(x).dtype)
 

@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
 from pcbench.observers.parts import kalman, nonlinear_model, reorder_buffer, robust_update
-from pcbench.observers.parts.common import no_snapshot, vmap_large_as_unit
-from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.common import for_each_channel, no_snapshot, vmap_large_as_unit
+from pcbench.observers.parts.kalman import MeanAndCovariance, Posterior
 from pcbench.observers.parts.nonlinear_model import (
     Gains,
     clip_parameters,
@@ -76,37 +76,40 @@ def update(gains: Gains, now: Now, before: AnyPosterior, sample: Measurement) ->
     if gains.sensor is not None:
         z, P, rejections = update_linearized(gains, now_at(now, sample.tick), before._replace(mean=z, P=P), sample)
         return robust_update.new_posterior(before, clip_parameters(gains, z), P, sample.tick, rejections)
-    value, rejections, R = decorrelate(gains, sample.value), [], sample.variances(gains.R)
     n, zeros = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
-    for channel in range(gains.C.shape[0]):
-        c, r, mask = gains.C[channel], R[channel], sample.mask[channel]
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (z, P), (c, value, r, mask, count) = posterior, channel
         Pc = P[:, :n] @ c
-        nu = value[channel] - c @ z[:n]
-        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, mask)
+        nu = value - c @ z[:n]
+        is_used, r, count = robust_update.weigh(gains.guard, count, nu, c @ Pc[:n] + r, r, mask)
         K = kalman.gain(Pc, c @ Pc[:n] + r, is_used)
-        z = z + K * nu
-        P = kalman.covariance(P, K, jnp.concatenate([c, zeros]), r)
-        rejections.append(count)
+        return (z + K * nu, kalman.covariance(P, K, jnp.concatenate([c, zeros]), r)), count
+
+    value, R = decorrelate(gains, sample.value), sample.variances(gains.R)
+    channels = gains.C, value, R, sample.mask, robust_update.rejections(before)
+    (z, P), rejections = for_each_channel(use_channel, (z, P), channels)
     return robust_update.new_posterior(before, clip_parameters(gains, z), P, sample.tick, rejections)
 
 
 def update_linearized(
     gains: Gains, sample_now: Now, before: AnyPosterior, sample: Measurement
-) -> tuple[Array, Array, list[Array]]:
+) -> tuple[Array, Array, PyTree]:
     """Return mean, covariance and rejection counts after an update by a nonlinear sensor, linearised at the predicted z."""
-    z = prior = before.mean
-    P, rejections, R = before.P, [], sample.variances(gains.R)
-    y, C = linearize_sensor(gains, sample_now, z[: gains.P0.shape[0]])
-    C, value = kalman.pad_columns(C, z.shape[0]), value_near(gains, sample.value, y)
-    for channel in range(gains.C.shape[0]):
-        c, r = C[channel], R[channel]
+    prior, R = before.mean, sample.variances(gains.R)
+    y, C = linearize_sensor(gains, sample_now, prior[: gains.P0.shape[0]])
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (z, P), (c, value, y, r, mask, count) = posterior, channel
         Pc = P @ c
-        nu = value[channel] - y[channel] - c @ (z - prior)
-        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ Pc + r, r, sample.mask[channel])
+        nu = value - y - c @ (z - prior)
+        is_used, r, count = robust_update.weigh(gains.guard, count, nu, c @ Pc + r, r, mask)
         K = kalman.gain(Pc, c @ Pc + r, is_used)
-        z = z + K * nu
-        P = kalman.covariance(P, K, c, r)
-        rejections.append(count)
+        return (z + K * nu, kalman.covariance(P, K, c, r)), count
+
+    C, value = kalman.pad_columns(C, prior.shape[0]), value_near(gains, sample.value, y)
+    channels = C, value, y, R, sample.mask, robust_update.rejections(before)
+    (z, P), rejections = for_each_channel(use_channel, (prior, before.P), channels)
     return z, P, rejections
 
 

@@ -1,12 +1,13 @@
 """Small functions that many observers share."""
 
+import operator
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax import Array
-from jaxtyping import Float, Int
+from jax import Array, lax
+from jaxtyping import Float, Int, PyTree
 
 from pcbench.protocols import Gains, Leaf, Memory, Now, vmap_as_unit
 
@@ -38,3 +39,16 @@ def select_memory(mask: Array, after: State, before: State) -> State:
 def vmap_large_as_unit(P: Array, f: Callable[..., Any]) -> Callable[..., Any]:
     """Return f, marked by `vmap_as_unit` if P is large: vectorized entry by entry, it would compile for minutes."""
     return vmap_as_unit(f) if P.size >= LARGE else f
+
+
+def for_each_channel(
+    use: Callable[[State, PyTree], tuple[State, PyTree]], state: State, channels: PyTree
+) -> tuple[State, PyTree]:
+    """Return the state after use(state, channel) of one channel after the other, and the other results of all channels.
+
+    Several channels are a loop, which compiles faster.
+    """
+    if jax.tree.leaves(channels)[0].shape[0] > 1:
+        return lax.scan(use, state, channels)
+    state, result = use(state, jax.tree.map(operator.itemgetter(0), channels))
+    return state, jax.tree.map(lambda a: a[None], result)

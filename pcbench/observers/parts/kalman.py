@@ -26,11 +26,14 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
+from pcbench.observers.parts.common import for_each_channel
 from pcbench.observers.parts.nonlinear_model import Gains, linearize_output, value_near
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import InnovationStats, Now
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, DesignContext
+
+MeanAndCovariance = tuple[Array, Array]
 
 
 class Posterior(NamedTuple):
@@ -64,25 +67,17 @@ def pad_columns(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
     return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
-def empty_stats() -> InnovationStats:
-    """Return innovation statistics without a component."""
-    zero, empty = jnp.zeros(()), jnp.zeros(0)
-    return InnovationStats(zero, zero, zero, zero, normalized=empty, sigma=empty)
-
-
-def add_innovation(
-    stats: InnovationStats, nu: Float[Array, ""], s: Float[Array, ""], mask: Bool[Array, ""]
-) -> InnovationStats:
-    """Return the statistics with one more component: an innovation nu of variance s, if `mask` is True."""
+def innovation_stats(nu: Float[Array, " q"], s: Float[Array, " q"], mask: Bool[Array, " q"]) -> InnovationStats:
+    """Return the statistics of innovations nu of variance s, one channel after the other; `mask`: channels that arrived."""
     sigma = jnp.sqrt(s)
     z = nu / sigma
     return InnovationStats(
-        nis_sum=stats.nis_sum + jnp.where(mask, nu * nu / s, 0.0),
-        dof=stats.dof + jnp.where(mask, 1.0, 0.0),
-        log_det=stats.log_det + jnp.where(mask, jnp.log(s), 0.0),
-        normalized_sum=stats.normalized_sum + jnp.where(mask, z, 0.0),
-        normalized=jnp.append(stats.normalized, jnp.where(mask, z, jnp.nan)),
-        sigma=jnp.append(stats.sigma, jnp.where(mask, sigma, jnp.nan)),
+        nis_sum=jnp.where(mask, nu * nu / s, 0.0).sum(),
+        dof=jnp.where(mask, 1.0, 0.0).sum(),
+        log_det=jnp.where(mask, jnp.log(s), 0.0).sum(),
+        normalized_sum=jnp.where(mask, z, 0.0).sum(),
+        normalized=jnp.where(mask, z, jnp.nan),
+        sigma=jnp.where(mask, sigma, jnp.nan),
     )
 
 
@@ -96,29 +91,32 @@ def update_linearized(
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean, covariance and innovation statistics of z after a sample, by the output linearised at z_lin."""
     y, H = linearize_output(gains, now, z_lin)
-    value, stats, R = value_near(gains, sample.value, y), empty_stats(), sample.variances(gains.R)
-    for channel in range(gains.C.shape[0]):
-        r, mask, h = R[channel], sample.mask[channel], H[channel]
-        nu, s = value[channel] - y[channel] - h @ (z - z_lin), h @ P @ h + r
-        stats = add_innovation(stats, nu, s, mask)
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (z, P), (h, value, y, r, mask) = posterior, channel
+        nu, s = value - y - h @ (z - z_lin), h @ P @ h + r
         K = gain(P @ h, s, mask)
-        z, P = z + K * nu, covariance(P, K, h, r)
-    return z, P, stats
+        return (z + K * nu, covariance(P, K, h, r)), (nu, s)
+
+    channels = H, value_near(gains, sample.value, y), y, sample.variances(gains.R), sample.mask
+    (z, P), (nu, s) = for_each_channel(use_channel, (z, P), channels)
+    return z, P, innovation_stats(nu, s, sample.mask)
 
 
 def update_by_moments(
     gains: Gains, mean: Float[Array, " joint"], J: Float[Array, "joint joint"], sample: Measurement
 ) -> tuple[Array, Array, InnovationStats]:
     """Return mean [N], covariance [N, N] and innovation statistics of z after a sample, by the joint moments of z and y."""
-    N, stats, R = gains.P0.shape[0], empty_stats(), sample.variances(gains.R)
-    value = value_near(gains, sample.value, mean[N:])
-    for channel in range(gains.C.shape[0]):
-        r, mask, c = R[channel], sample.mask[channel], jnp.eye(mean.shape[0])[N + channel]
+    N, rows, innovations = gains.P0.shape[0], jnp.eye(mean.shape[0]), []
+    value, R = value_near(gains, sample.value, mean[N:]), sample.variances(gains.R)
+    for channel in range(gains.C.shape[0]):  # written out, so that the zeros of each row are known
+        r, mask, c = R[channel], sample.mask[channel], rows[N + channel]
         nu, s = value[channel] - mean[N + channel], J[N + channel, N + channel] + r
-        stats = add_innovation(stats, nu, s, mask)
+        innovations.append(jnp.stack([nu, s]))
         K = gain(J[:, N + channel], s, mask)
         mean, J = mean + K * nu, covariance(J, K, c, r)
-    return mean[:N], J[:N, :N], stats
+    nu, s = jnp.stack(innovations, 1)
+    return mean[:N], J[:N, :N], innovation_stats(nu, s, sample.mask)
 
 
 def certificate(gains: PyTree, model: linear.Model, Q: Matrix, context: DesignContext) -> Certificate:

@@ -22,7 +22,8 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import assumed_noise, kalman, prediction, reorder_buffer, robust_update
-from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.common import for_each_channel
+from pcbench.observers.parts.kalman import MeanAndCovariance, Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.observers.parts.robust_update import AnyPosterior
@@ -93,17 +94,18 @@ def predict_posterior(gains: Gains, before: AnyPosterior, tick: Array) -> Poster
 def update(gains: Gains, before: AnyPosterior, sample: Measurement) -> AnyPosterior:
     """Update at the sampling time, channel by channel; the mean excludes the response to the input."""
     free, P, _ = predict_posterior(gains, before, sample.tick)
-    value, rejections, n = decorrelated_value(gains, sample), [], gains.P0.shape[0]
-    R = sample.variances(gains.R)
-    rows = kalman.pad_columns(gains.C, free.shape[0])
-    for channel in range(gains.C.shape[0]):
-        c, r, mask = rows[channel], R[channel], sample.mask[channel]
-        nu = value[channel] - gains.C[channel] @ (sample.snapshot + free[:n])
-        is_used, r, count = robust_update.weigh(gains.guard, before, channel, nu, c @ P @ c + r, r, mask)
+    n, rows = gains.P0.shape[0], kalman.pad_columns(gains.C, free.shape[0])
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (free, P), (C_row, c, value, r, mask, count) = posterior, channel
+        nu = value - C_row @ (sample.snapshot + free[:n])
+        is_used, r, count = robust_update.weigh(gains.guard, count, nu, c @ P @ c + r, r, mask)
         K = kalman.gain(P @ c, c @ P @ c + r, is_used)
-        free = free + K * nu
-        P = kalman.covariance(P, K, c, r)
-        rejections.append(count)
+        return (free + K * nu, kalman.covariance(P, K, c, r)), count
+
+    value, R = decorrelated_value(gains, sample), sample.variances(gains.R)
+    channels = gains.C, rows, value, R, sample.mask, robust_update.rejections(before)
+    (free, P), rejections = for_each_channel(use_channel, (free, P), channels)
     return robust_update.new_posterior(before, free, P, sample.tick, rejections)
 
 
@@ -115,15 +117,16 @@ def newest_innovation_stats(gains: Gains, before: AnyPosterior, sample: Measurem
 
 def innovation_stats(gains: Gains, prior: AnyPosterior, sample: Measurement) -> InnovationStats:
     """Return the innovation statistics of a sample, relative to the state at its sampling time, channel by channel."""
-    free, P, mask = prior.mean, prior.P, sample.mask
-    value, stats, R = decorrelated_value(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
-    for channel in range(gains.C.shape[0]):
-        c, r = gains.C[channel], R[channel]
-        nu, s = value[channel] - c @ (sample.snapshot + free), c @ P @ c + r
-        stats = kalman.add_innovation(stats, nu, s, mask[channel])
-        K = kalman.gain(P @ c, s, mask[channel])
-        free, P = free + K * nu, kalman.covariance(P, K, c, r)
-    return stats
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (free, P), (c, value, r, mask) = posterior, channel
+        nu, s = value - c @ (sample.snapshot + free), c @ P @ c + r
+        K = kalman.gain(P @ c, s, mask)
+        return (free + K * nu, kalman.covariance(P, K, c, r)), (nu, s)
+
+    channels = gains.C, decorrelated_value(gains, sample), sample.variances(gains.R), sample.mask
+    _, (nu, s) = for_each_channel(use_channel, (prior.mean, prior.P), channels)
+    return kalman.innovation_stats(nu, s, sample.mask)
 
 
 def signals_of(gains: Gains, z: Float[Array, " n"]) -> Float[Array, " plant+r"]:

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PyTree
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import select_memory
-from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.common import for_each_channel, select_memory
+from pcbench.observers.parts.kalman import MeanAndCovariance, Posterior
 from pcbench.observers.parts.linear_filter import Gains
 from pcbench.observers.parts.reorder_buffer import Measurement
 from pcbench.protocols import Arrival, InnovationStats, Leaf, Now, Observer, Room
@@ -120,15 +120,17 @@ def backward(
     cross_covariance = after(gains.extra.backward_powers, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.extra.backward_powers, age, x - noise)])
     joint = jnp.block([[P, cross_covariance], [cross_covariance.T, P_sample]])
-    value, stats, R = linear_filter.decorrelated_value(gains, sample), kalman.empty_stats(), sample.variances(gains.R)
-    for channel in range(gains.C.shape[0]):
-        c, r, mask = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), R[channel], sample.mask[channel]
-        nu, s = value[channel] - gains.C[channel] @ sample.snapshot - c @ z, c @ joint @ c + r
-        stats = kalman.add_innovation(stats, nu, s, mask)
+
+    def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+        (z, joint), (c, value, r, mask) = posterior, channel
+        nu, s = value - c[n:] @ sample.snapshot - c @ z, c @ joint @ c + r
         K = kalman.gain(joint @ c, s, mask)
-        z = z + K * nu
-        joint = kalman.covariance(joint, K, c, r)
-    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), stats
+        return (z + K * nu, kalman.covariance(joint, K, c, r)), (nu, s)
+
+    rows = jnp.concatenate([jnp.zeros_like(gains.C), gains.C], 1)
+    channels = rows, linear_filter.decorrelated_value(gains, sample), sample.variances(gains.R), sample.mask
+    (z, joint), (nu, s) = for_each_channel(use_channel, (z, joint), channels)
+    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), kalman.innovation_stats(nu, s, sample.mask)
 
 
 def observer(retrodict: Retrodict, neglect_noise: bool) -> Observer:

@@ -66,20 +66,26 @@ def initial_posterior(first: Posterior, guard: PyTree, outputs: int) -> AnyPoste
     return GuardedPosterior(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
 
 
-def new_posterior(before: AnyPosterior, mean: Array, P: Array, tick: Array, rejections: list[Array]) -> AnyPosterior:
+def new_posterior(before: AnyPosterior, mean: Array, P: Array, tick: Array, rejections: PyTree) -> AnyPosterior:
     """Return the state after a sample, of the same type as `before`."""
     if isinstance(before, GuardedPosterior):
-        return GuardedPosterior(mean, P, tick, jnp.stack(rejections))
+        return GuardedPosterior(mean, P, tick, rejections)
     return Posterior(mean, P, tick)
 
 
-def weigh(
-    guard: PyTree, before: AnyPosterior, channel: int, nu: Array, s: Array, r: Array, mask: Array
-) -> tuple[Array, Array, Array]:
-    """Return whether a channel is used, the variance of its noise for the update, and how many were rejected in a row."""
-    if not isinstance(before, GuardedPosterior):
-        return mask, r, jnp.asarray(0)
-    count, z = before.rejections[channel], jnp.abs(nu) / jnp.sqrt(s)
+def rejections(posterior: AnyPosterior) -> PyTree:
+    """Return the number of samples of each channel that were rejected in a row [q], or () without thresholds."""
+    return posterior.rejections if isinstance(posterior, GuardedPosterior) else ()
+
+
+def weigh(guard: PyTree, count: PyTree, nu: Array, s: Array, r: Array, mask: Array) -> tuple[Array, Array, PyTree]:
+    """Return whether a channel is used, the variance of its noise for the update, and how many were rejected in a row.
+
+    `count` is the number before, or () without thresholds.
+    """
+    if not isinstance(guard, Guard):
+        return mask, r, ()
+    z = jnp.abs(nu) / jnp.sqrt(s)
     is_rejected = mask & (z > guard.gate) & (count < guard.opens)
     new_count = jnp.where(is_rejected, count + 1, jnp.where(mask, 0, count))
     return mask & ~is_rejected, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), new_count

@@ -17,12 +17,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, PyTree
 
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, prediction, reorder_buffer
-from pcbench.observers.parts.common import no_snapshot, vmap_large_as_unit
+from pcbench.observers.parts.common import for_each_channel, no_snapshot, vmap_large_as_unit
+from pcbench.observers.parts.kalman import MeanAndCovariance
 from pcbench.observers.parts.linear_filter import Gains
 from pcbench.protocols import Arrival, InnovationStats, Now, Observer, Room
 from pcbench.synthesis.certificate import DesignContext
@@ -104,15 +105,18 @@ def observer(gain: Gain) -> Observer:
             slot = jnp.append(False, memory.sampling_ticks == sample.tick)
             pair_mask = jnp.repeat(slot.at[0].set(True), n)
             value, R = linear_filter.decorrelated_value(gains, sample), sample.variances(gains.R)
-            is_stored = jnp.any(slot)
-            for channel in range(gains.C.shape[0]):
-                c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
+
+            def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+                (z, P), (c, value, r, mask) = posterior, channel
                 row = (slot[:, None] * c[None, :]).reshape(-1)
                 h = P @ row
                 s = row @ h + r
                 K = jnp.where(mask, gain(h, s, pair_mask), 0.0)
-                z = z + K * (value[channel] - row @ z)
                 P = P - jnp.outer(K, h) - jnp.outer(h, K) + s * jnp.outer(K, K)
+                return (z + K * (value - row @ z), P), ()
+
+            channels = gains.C, value, R, sample.mask & jnp.any(slot)
+            (z, P), _ = for_each_channel(use_channel, (z, P), channels)
             return memory._replace(xhat=z[:n], clones=z[n:].reshape(memory.clones.shape), P=P)
 
         return vmap_large_as_unit(memory.P, apply)(memory, arrival)
@@ -135,17 +139,19 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Inno
         sample, memory = reorder_buffer.sample_of(now, arrival, gains.D), predict_clone(gains, memory, now)
         z, P = jnp.concatenate([memory.xhat, memory.clones.reshape(-1)]), memory.P
         slot = jnp.append(False, memory.sampling_ticks == sample.tick)
-        value, is_stored, stats = linear_filter.decorrelated_value(gains, sample), jnp.any(slot), kalman.empty_stats()
-        R = sample.variances(gains.R)
-        for channel in range(gains.C.shape[0]):
-            c, r, mask = gains.C[channel], R[channel], sample.mask[channel] & is_stored
+        mask = sample.mask & jnp.any(slot)
+
+        def use_channel(posterior: MeanAndCovariance, channel: PyTree) -> tuple[MeanAndCovariance, PyTree]:
+            (z, P), (c, value, r, mask) = posterior, channel
             row = (slot[:, None] * c[None, :]).reshape(-1)
             h = P @ row
-            nu, s = value[channel] - row @ z, row @ h + r
-            stats = kalman.add_innovation(stats, nu, s, mask)
+            nu, s = value - row @ z, row @ h + r
             K = kalman.gain(h, s, mask)
-            z, P = z + K * nu, kalman.covariance(P, K, row, r)
-        return stats
+            return (z + K * nu, kalman.covariance(P, K, row, r)), (nu, s)
+
+        channels = gains.C, linear_filter.decorrelated_value(gains, sample), sample.variances(gains.R), mask
+        _, (nu, s) = for_each_channel(use_channel, (z, P), channels)
+        return kalman.innovation_stats(nu, s, mask)
 
     return vmap_large_as_unit(memory.P, score)(memory, arrival)
 
