@@ -3,7 +3,7 @@
 `jax.jacfwd` multiplies each derivative by the entries of an identity matrix, and F P F' has the zeros of F. The compiler cannot
 leave such products out, because 0 x is not 0 for every x (and because `kernels.product` adds a zero that it cannot see). Here
 they are left out: 0 x = 0, 1 x = x and 0 + x = x. Results are the same, except the sign of a zero, and values computed from
-infinities or NaN, which only diverged runs have.
+infinities or NaN, which only diverged runs have. A zero that is written in the code, as in 0.0 * x, stays a factor.
 
 The known entries of a value are an array of its shape for one lane, NaN where an entry is not known; None: no entry is known.
 Only whole numbers are known, so that they are exact in every type.
@@ -16,7 +16,7 @@ import numpy as np
 
 from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.engine.batching_rules import Known
-from pcbench.engine.jaxpr_compat import STRUCTURAL, Eqn
+from pcbench.engine.jaxpr_compat import STRUCTURAL, Eqn, Literal
 
 MOST_ENTRIES = 1024  # larger values are not examined
 LARGEST = 2**31 - 1  # larger whole numbers are not known
@@ -46,8 +46,9 @@ def of_results(eqn: Eqn, known: list[Known]) -> list[Known]:
         return [_exact(flat[i.astype(int)], v.aval.dtype) for i, v in zip(sources, eqn.outvars, strict=True)]
     if name == "dot_general":
         return [_exact(_dot(eqn, *entries), eqn.outvars[0].aval.dtype)]
-    if name not in RULES:
-        return unknown
+    is_written_zero = (isinstance(v, Literal) and not jaxpr_compat.value(v).any() for v in eqn.invars)
+    if name not in RULES or (name in ("mul", "div") and any(is_written_zero)):
+        return unknown  # so that 0.0 * x is NaN if x is
     aval = eqn.outvars[0].aval
     return [_exact(np.broadcast_to(RULES[name](*entries), aval.shape), aval.dtype)]
 

@@ -103,6 +103,12 @@ def test_a_large_product_with_many_zeros_is_written_out():
     assert "dot_general" in str(jax.make_jaxpr(vmap_entrywise(lambda x: x @ x))(x))
 
 
+def test_a_zero_that_is_written_in_the_code_stays_a_factor():
+    """So an observer that reads an input that is not stored, which is NaN, has no estimate."""
+    x = lane_array.split(jnp.full((3, L), jnp.nan))
+    assert np.isnan(lane_array.join(vmap_entrywise(lambda x: 0.0 * x + x * 0)(x))).all()
+
+
 def test_large_values_are_not_examined():
     assert known_entries.of_constant(np.zeros(known_entries.MOST_ENTRIES)) is not None
     assert known_entries.of_constant(np.zeros(known_entries.MOST_ENTRIES + 1)) is None
