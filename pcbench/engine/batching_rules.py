@@ -16,13 +16,8 @@ from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 Known = np.ndarray | None  # known entries of a value, as in `known_entries`
 
 OPERATIONS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
-NEUTRAL = {
-    "mul": 1.0,
-    "div": 1.0,
-    "add": 0.0,
-    "add_any": 0.0,
-    "sub": 0.0,
-}  # the operand b that leaves a in a op b unchanged
+# the operand b that leaves a in a op b unchanged
+NEUTRAL = {"mul": 1.0, "div": 1.0, "add": 0.0, "add_any": 0.0, "sub": 0.0}
 FOLD_OPERATIONS = dict(zip(jaxpr_compat.FOLDS, OPERATIONS, strict=True))
 
 

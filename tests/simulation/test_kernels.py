@@ -104,6 +104,8 @@ def test_every_product_of_an_event_loop_rounds_by_itself(scenario, observers, mo
     monkeypatch.setattr(runner, "_PROGRAMS", type(runner._PROGRAMS)())
     for draw in ("normal", "uniform"):  # what these compute is theirs alone
         monkeypatch.setattr(jax.random, draw, lambda key, shape=(), dtype=float, **_: jnp.zeros(shape, dtype))
+    # not the compiled function, whose trace, with quotients, would be kept for the tests that follow
+    monkeypatch.setattr(kernels, "_sine_of_quarters", kernels._sine_of_quarters.__wrapped__)
     monkeypatch.setattr(kernels, "product", lax.div)
     monkeypatch.setitem(kernels.KERNELS, "mul", lax.div)
     with pytest.raises(KeyboardInterrupt):
